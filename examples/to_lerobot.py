@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from knotgym.datasets import gauss_codes, goal_reached
+from knotgym.datasets import gauss_codes
 from knotgym.loaders import Transitions
 
 FRAMES_PER_SECOND = 5  # an action takes 0.192 s
@@ -51,7 +51,7 @@ def convert(source: str, out: Path, video: bool) -> int:
     """Write the dataset; return its number of episodes."""
     opened = Transitions(source, observation="both", action="pull")
     episodes = opened.dataset.episodes
-    reached = goal_reached(episodes, opened.task)
+    reached = episodes.goal_reached(opened.task)
     goals = gauss_codes(episodes.episodes["goal_visits"])
     shape = opened.observations(0, 0, 1)["pixels"].shape[1:]
     made = LeRobotDataset.create(

@@ -15,7 +15,6 @@ from knotgym.common import Failed, InvalidInput, atomic_write, one_line, require
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
     CardTable,
-    differences,
     drawn_episodes,
     expanded,
     image_card_tables,
@@ -163,7 +162,7 @@ def _episode_film(path: Path, row: int) -> tuple[list[Image], int, str]:
     _require_row(row, dataset.episodes.episodes.rows)
     stored = dataset.select([row])
     made = expanded(stored, replay).episodes
-    steps, difference = int(made.episodes["length"][0]), differences(made, stored.episodes)
+    steps, difference = int(made.episodes["length"][0]), made.differences(stored.episodes)
     return film_of(made, dataset.task), steps, "; ".join(difference[:3])
 
 

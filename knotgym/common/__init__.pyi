@@ -38,6 +38,7 @@ from .tables import Schema as Schema
 from .tables import Table as Table
 from .tables import format_of as format_of
 from .tables import new_hdf5 as new_hdf5
+from .tables import padded as padded
 from .tables import read_tables as read_tables
 from .tables import require_stored_here as require_stored_here
 from .tables import write_tables as write_tables

@@ -513,10 +513,15 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
 def _fitted(schema: Schema, column: Column, table: Table) -> NDArray[Any]:
     """Return a table's column, padded to the length that the schema has."""
     values = table[column.name]
-    lacking = schema.shape(column)[0] - values.shape[1] if column.padded else 0
-    if not lacking:  # mapped files aren't copied
-        return values
-    return np.pad(values, [(0, lacking * (axis == 1)) for axis in range(values.ndim)])
+    return padded(values, schema.shape(column)[0], 1) if column.padded else values
+
+
+def padded(values: NDArray[Any], width: int, axis: int = -1) -> NDArray[Any]:
+    """Cut an axis at a width, or lengthen it with zeros; only lengthening copies."""
+    kept = values[(slice(None),) * (axis % values.ndim) + (slice(width),)]
+    lacking = [(0, 0)] * values.ndim
+    lacking[axis] = (0, width - kept.shape[axis])
+    return np.pad(kept, lacking) if kept.shape[axis] < width else kept
 
 
 def _type_name(dtype: np.dtype[Any]) -> str:

@@ -17,7 +17,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, InvalidPolicy, Schema, Stream, Table
+from knotgym.common import (
+    InvalidInput,
+    InvalidPolicy,
+    Schema,
+    Stream,
+    Table,
+    padded,
+)
 from knotgym.datasets import (
     EPISODES,
     MACROS,
@@ -26,8 +33,6 @@ from knotgym.datasets import (
     Episodes,
     Shown,
     code_sizes,
-    fitted,
-    state_columns,
 )
 from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
 from knotgym.rope import encode_actions
@@ -396,7 +401,7 @@ class _Record:
         for column in self._episodes.columns:
             values = [row[column.name] for row in self._rows]
             if column.name == "goal_visits":
-                values = [_padded(value, width) for value in values]
+                values = [padded(value, width) for value in values]
             rows[column.name] = np.array(values, None if column.dtype == "text" else column.dtype)
         schema = self._schema.only(*self._steps)
         steps: dict[str, NDArray[Any]] = {}
@@ -404,12 +409,12 @@ class _Record:
             parts = [part[column.name] for part in self._parts]
             if column.name in _CODES:
                 full = self._steps[column.name].shape[2]
-                parts = [_padded(part, full) for part in parts]
+                parts = [padded(part, full) for part in parts]
             steps[column.name] = np.concatenate(parts)
         made = Episodes(Table(self._sized(self._episodes), rows), Table(self._sized(schema), steps))
         # columns as narrow as the longest code that occurs, so that a file doesn't depend on the
         # batch
-        return fitted([made])[0]
+        return Episodes.merged([made])
 
     def _sized(self, schema: Schema) -> Schema:
         batch = self._batch
@@ -422,9 +427,9 @@ class _Record:
             return
         codes = (batch.visits[ids], batch.signs[ids], batch.crossings[ids])
         shown = Shown(batch.simulation.points[ids], *codes)
-        for name, values in state_columns(self._schema, shown).items():
+        for name, values in shown.columns(self._schema).items():
             if name in _CODES and values.shape[1] > self._steps[name].shape[2]:
-                self._steps[name] = _padded(self._steps[name], values.shape[1])
+                self._steps[name] = padded(self._steps[name], values.shape[1])
             self._put(name, ids, values)
 
     def _actions(self, pulls: Pulls) -> NDArray[np.float32]:
@@ -436,9 +441,3 @@ class _Record:
     def _put(self, name: str, ids: Ids, values: Any, back: int = 0) -> None:
         if name in self._steps:
             self._steps[name][ids, self._batch.steps[ids] + back] = values
-
-
-def _padded(array: NDArray[Any], width: int) -> NDArray[Any]:
-    """Lengthen the last axis with zeros."""
-    more = width - array.shape[-1]
-    return np.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, more)]) if more else array

@@ -13,7 +13,7 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
     versions    package -> version that wrote the file
     digest      SHA-256 of starts and pulls, the same in both forms
     advice      SHA-256 of `expert_action`, where it is stored: no replay recomputes it
-    expansion   SHA-256 of all columns that stepping gives, see `expansion_digest`; a recording has
+    expansion   SHA-256 of all columns that stepping gives, but plans and advice; a recording has
                 it from the columns that it was made of
     metadata    of the Minari dataset, see `MinariMetadata`; left out in single files
     run         facts about the run that made it, such as its configuration; may be left out
@@ -23,7 +23,7 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
 
 import hashlib
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -56,7 +56,6 @@ from knotgym.datasets.episodes import (
     STEPS,
     Episodes,
     fitted,
-    merged,
 )
 from knotgym.envs import TaskConfig
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
@@ -244,7 +243,7 @@ def columns_of(source: Any) -> EpisodeDataset:
         parts = tuple(columns_of(one) for one in source)
         require_alike(parts, {*vars(parts[0].task)} - _READ if parts else set())
         path = Path(" and ".join(str(one.path) for one in parts))
-        every = merged([one.episodes for one in parts])
+        every = Episodes.merged([one.episodes for one in parts])
         return EpisodeDataset(path, every, parts[0].task, {}, parts=parts)
     if not isinstance(source, EpisodeDataset) and (path := episode_file(source)).name == MAIN:
         from knotgym.datasets.minari_recording import recorded_columns  # here, as few need it
@@ -308,39 +307,29 @@ def write_episodes(
         "task": as_json(task),
         "rope": task.rope_config.fingerprint,
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
-        "digest": content_digest(merged([part.recording() for part in same])),
+        **digests_of(same),
     }
-    if not parts[0].is_recording:
-        attributes["expansion"] = expansion_digest(same)
-    if all("expert_action" in part.steps for part in same):  # as `joined` keeps it
-        attributes["advice"] = advice_digest(same)
-    rows, steps = [part.episodes for part in same], [part.steps for part in same]
-    write_tables(path, [rows, steps], attributes, format=FORMAT, version=VERSION, pack=pack)
+    tables = zip(*same, strict=True)
+    write_tables(path, tables, attributes, format=FORMAT, version=VERSION, pack=pack)
 
 
-def content_digest(episodes: Episodes) -> str:
-    """Hash the starts and pulls of episodes, from which everything else follows (SHA-256)."""
-    kept = fitted([episodes.recording()])[0]
-    return hashlib.sha256("".join(map(Table.digest, kept)).encode()).hexdigest()
+def digests_of(parts: Sequence[Episodes]) -> dict[str, str]:
+    """Hash sets of episodes as one; return the digests by the names of the file's attributes."""
+    found = {"digest": _digest([part.recording() for part in parts])}
+    if not any(part.is_recording for part in parts):
+        found["expansion"] = _digest(parts, NOT_STEPPED)
+    if all("expert_action" in part.steps for part in parts):
+        found["advice"] = Table.digest(*(part.steps.only("expert_action") for part in parts))
+    return found
 
 
-def advice_digest(parts: Sequence[Episodes]) -> str:
-    """Hash the expert's actions, which follow from no replay (SHA-256)."""
-    return Table.digest(*(part.steps.only("expert_action") for part in parts))
-
-
-def expansion_digest(parts: Sequence[Episodes]) -> str:
-    """Hash the columns that stepping gives from starts and pulls, with these (SHA-256).
-
-    Args:
-        parts: columns, as wide as each other (`fitted`), which are hashed as one set.
-    """
-    found = []
-    for tables_of in zip(*parts, strict=True):
-        shared = set.intersection(*({*table} for table in tables_of))  # as `joined` keeps them
-        kept = shared - NOT_STEPPED
-        found.append(Table.digest(*(table.only(*kept) for table in tables_of)))
-    return hashlib.sha256("".join(found).encode()).hexdigest()
+def _digest(parts: Sequence[Episodes], without: Set[str] = frozenset()) -> str:
+    """Hash the columns that all sets have (SHA-256, hexadecimal)."""
+    found = ""
+    for tables in zip(*fitted(parts), strict=True):
+        shared = set.intersection(*({*table} for table in tables)) - without
+        found += Table.digest(*(table.only(*shared) for table in tables))
+    return hashlib.sha256(found.encode()).hexdigest()
 
 
 def episode_file(source: Any) -> Path:

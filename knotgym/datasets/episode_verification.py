@@ -2,11 +2,15 @@
 
 Codes are compared with a second, independent labeller, goals with the states that they name, and
 Minari's form with what follows from the columns. Nothing stored is believed.
+
+A goal must be the state that its row names, bit for bit. Reset noise moves a start, so it must be
+near the state that its row names, or at least near none of another split.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -15,15 +19,17 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
 from knotgym.datasets.episode_dataset import (
     EpisodeDataset,
-    advice_digest,
-    content_digest,
-    expansion_digest,
+    digests_of,
     open_episodes,
 )
-from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_codes, merged
+from knotgym.datasets.episodes import (
+    Episodes,
+    gauss_codes,
+)
 from knotgym.datasets.minari_form import minari_faults
-from knotgym.datasets.split_verification import duplicate_faults, split_faults
-from knotgym.envs import TaskConfig
+from knotgym.envs import TaskConfig, task_sides
+from knotgym.rope import Array, Rope
+from knotgym.states import NEAR, States, distances, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
@@ -31,6 +37,10 @@ Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.verification.rep
 # of the metadata: a word that nothing confirms, and that may be a stranger's
 _CLAIMED = ("author", "algorithm_name", "ref_min_score", "ref_max_score", "code_permalink")
 _BLOCK = 1024  # episodes played again between two reports of progress
+# metres, root mean square over the beads, after the best translation and rotation about z. Reset
+# noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
+_MATCH = NEAR / 2
+_HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 
 
 class ReplayFault(str):
@@ -49,7 +59,7 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     Raises:
         InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
     """
-    parts, task, told = [], dataset.found_task, dataset.attributes
+    parts, task = [], dataset.found_task
     is_whole = dataset.rows is None and not dataset.parts
     for fault in _digest_faults(dataset):
         raise InvalidFile(fault)
@@ -61,9 +71,10 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
         made = replay(some, task)
         own = made.episodes.replaced(planner_steps=some.episodes["planner_steps"])
         parts.append(made._replace(episodes=own))
-    whole = merged(parts) if parts else dataset.episodes
+    whole = Episodes.merged(parts) if parts else dataset.episodes
     if is_whole and dataset.episodes.is_recording and parts:
-        if told.get("expansion", found := expansion_digest([whole])) != found:
+        found = digests_of([whole])["expansion"]
+        if dataset.attributes.get("expansion", found) != found:
             raise InvalidFile(
                 f"{dataset.path} can't be expanded to the bit: played again, its pulls lead to"
                 " other states here than where it was recorded"
@@ -103,7 +114,7 @@ def verify_episodes(
     dataset = drawn_episodes(dataset, sample)
     try:
         columns = expanded(dataset, replay, count)
-        for fault in differences(columns.episodes, dataset.episodes, dataset.numbers):
+        for fault in columns.episodes.differences(dataset.episodes, dataset.numbers):
             yield ReplayFault(f"{dataset.path}, {fault}, played again")
     except KnotgymError as error:
         yield ReplayFault(f"{dataset.path}: can't be played again: {one_line(error)}")
@@ -119,7 +130,7 @@ def drawn_episodes(dataset: EpisodeDataset, sample: int) -> EpisodeDataset:
     rows = dataset.episodes.episodes.rows
     if not 0 < sample < rows:
         return dataset
-    content = int(content_digest(dataset.episodes)[:12], 16)
+    content = int(digests_of([dataset.episodes])["digest"][:12], 16)
     rng = Stream.CHECKED_EPISODES.generator(content)
     return dataset.select(np.sort(rng.choice(rows, sample, replace=False)))
 
@@ -141,7 +152,7 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "success_rate": float(own["success"].mean()) if own.rows else None,
         "simulation_failures": int(own["diverged"].sum()),
         "policies": _counted(own["policy"]),
-        "distinct": distinct(own),
+        "distinct": dataset.episodes.distinct(),
         "goals": _counted(gauss_codes(own["goal_visits"])),
         "bytes": size,
         "bytes_per_step": size / max(1, int(own["length"].sum())),
@@ -186,13 +197,13 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
 
 def _digest_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield which columns of a file aren't those that were written, of those no replay gives."""
-    told, episodes = dataset.attributes, dataset.episodes
     if dataset.rows is not None or dataset.parts:
         return  # a part of a file has no digest
-    if told.get("digest") != content_digest(episodes):
-        yield f"{dataset.path}: its starts and pulls don't match its digest"
-    if "expert_action" in episodes.steps and told.get("advice") != advice_digest([episodes]):
-        yield f"{dataset.path}: its expert's actions don't match their digest"
+    whats = {"digest": "starts and pulls", "advice": "expert's actions"}
+    now = digests_of([dataset.episodes])
+    for name, what in whats.items():
+        if name in now and dataset.attributes.get(name) != now[name]:
+            yield f"{dataset.path}: its {what} don't match their digest"
 
 
 def _code_faults(dataset: EpisodeDataset, count: Count) -> Iterator[str]:
@@ -236,3 +247,104 @@ def _spread(values: NDArray[Any]) -> dict[str, float] | None:
         return None
     least, middle, most = np.quantile(values, [0.0, 0.5, 1.0]).tolist()
     return {"min": least, "mean": float(values.mean()), "median": middle, "max": most}
+
+
+def split_faults(dataset: EpisodeDataset) -> list[str]:
+    """List the episodes whose start or goal isn't of the task's split.
+
+    They are compared with the states that the task resets from. A single episode file whose states
+    aren't found is skipped; a dataset without its states is a fault.
+    """
+    try:
+        sides = _sides(dataset)
+    except KnotgymError as error:
+        return [f"{dataset.path}: its split can't be checked: {error}"]
+    own, task, rope = dataset.episodes.episodes, dataset.task, Rope(dataset.task.rope_config)
+    faults: list[str] = []
+    for name, (states, allowed) in sides.items():
+        for row, named in enumerate(own[name].tolist()):
+            if not 0 <= named < len(states):
+                fault = f"its {name} is row {named}, of {len(states)} states"
+            elif named not in allowed:
+                fault = f"its {name} is row {named}, none of those of the {task.split} split"
+            elif name == "start":
+                fault = _start_fault(rope.points(own["start_qpos"][row]), named, states, dataset)
+            elif "goal_points" in own and not np.array_equal(
+                own["goal_points"][row], states.points[named].astype(np.float32)
+            ):
+                fault = f"its goal isn't row {named} of the states, as the column goal says"
+            else:
+                continue
+            faults += [f"{dataset.path}, episode {row}: {fault}"] if fault else []
+    return faults
+
+
+def shared_faults(
+    points: Array, split: NDArray[np.str_], ropes: Sequence[Hashable], numbers: Sequence[int]
+) -> Iterator[str]:
+    """Yield what splits share: near-duplicates, and frames of one rope.
+
+    Args:
+        points: float64 (n, beads, 3), metres; rows that aren't finite or are huge are passed over.
+        split: (n,).
+        ropes: of each row, the rope that it is a frame of.
+        numbers: of the rows.
+    """
+
+    def both(row: int, other: int) -> str:
+        return f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]})"
+
+    sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
+    for one, other in combinations(sorted(set(split.tolist()), reverse=True), 2):
+        rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
+        for i, k, apart in pairs_within(points[others], points[rows]):
+            yield (
+                f"{both(rows[k], others[i])} are near-duplicates: {1000 * apart:.1f} mm apart at"
+                " the best symmetry"
+            )
+    for other, row in repeated(ropes):
+        if split[other] != split[row]:
+            yield f"{both(other, row)} come from one rope"
+
+
+def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
+    """List the episodes with the same start, goal and pulls, bit for bit, as an earlier one.
+
+    Without reset noise two seeds may give the same episode; then only a repeated seed is a fault.
+    """
+    digests, seeds = dataset.episodes.digests(), dataset.episodes.episodes["seed"].tolist()
+    free = bool(dataset.task.reset_noise)
+    keys = [(one, None if free else seed) for one, seed in zip(digests, seeds, strict=True)]
+    return [
+        f"{dataset.path}, episode {row}: the same as episode {earlier}, start, goal and pulls"
+        for earlier, row in repeated(keys)
+    ]
+
+
+def _start_fault(points: Array, named: int, states: States, dataset: EpisodeDataset) -> str:
+    """Say which state of another split a start is, "" if it is none."""
+    if distances(points, states.points[named][None])[0] < _MATCH:
+        return ""
+    split = dataset.task.split
+    mine = np.concatenate([states.rows(nx, split) for nx in set(states.nx.tolist())])
+    apart = distances(points, states.points)
+    apart[mine] = np.inf
+    row = int(apart.argmin())
+    return (
+        f"its start is row {row}, which isn't of the {split} split" if apart[row] < _MATCH else ""
+    )
+
+
+def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]]]:
+    """Read the states, and the rows of them, that starts and goals are drawn from, as a reset."""
+    try:
+        task = dataset.found_task
+    except MissingFile:
+        if dataset.metadata is None:
+            return {}
+        raise
+    starts, goals = zip(*task_sides(task), strict=True)
+    return {
+        name: (same[0].states, np.unique(np.concatenate([one.rows for one in same])))
+        for name, same in (("start", starts), ("goal", goals))
+    }

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Column, InvalidInput, Schema, Table
+from knotgym.common import Column, InvalidInput, Schema, Table, padded
 from knotgym.envs import TaskConfig
 from knotgym.topology import GaussCode, letters_of
 
@@ -85,10 +85,10 @@ PULLS = Schema("steps", _PULLS, "a state and the pull made in it")
 STEPS = Schema("steps", (*_PULLS, *_FRAMES), "a state, the pull made in it, and what it brought")
 MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 
-_CODES = ("visits", "signs", "goal_visits")  # columns as wide as the longest code
-NOT_STEPPED = frozenset(
-    {"planner_steps", "expert_action"}
-)  # a replay plans nothing and asks no expert
+_VISITS = ("visits", "goal_visits")  # columns of codes
+_OF_CODES = (("visits",), ("labels",))  # shapes of columns as wide as the longest code
+# a replay plans nothing and asks no expert
+NOT_STEPPED = frozenset({"planner_steps", "expert_action"})
 RELABEL = ("last", "all")
 
 
@@ -105,21 +105,29 @@ class Shown(NamedTuple):
     signs: NDArray[np.int8]
     crossings: NDArray[np.int64]
 
+    def columns(self, schema: Schema) -> dict[str, NDArray[Any]]:
+        """Return the columns of states of a schema by name.
 
-def state_columns(schema: Schema, shown: Shown) -> dict[str, NDArray[Any]]:
-    """Return the columns of states of a schema by name, from what the states show.
-
-    Raises:
-        InvalidInput: nothing says how a column is computed.
-    """
-    columns = {c.name: c.derived for c in schema.columns if c.of == "state"}
-    if unknown := [name for name, of in columns.items() if not of and name not in shown._fields]:
-        raise InvalidInput(
-            f"nothing computes column {', '.join(unknown)} of steps: give it `derived`, a function"
-            " of `Shown`, in knotgym/datasets/episodes.py"
+        Raises:
+            InvalidInput: nothing says how a column is computed.
+        """
+        given, wanted = (
+            self._asdict(),
+            {c.name: c.derived for c in schema.columns if c.of == "state"},
         )
-    given = shown._asdict()
-    return {name: of(shown) if of else given[name] for name, of in columns.items()}
+        if unknown := [name for name, of in wanted.items() if not of and name not in given]:
+            raise InvalidInput(
+                f"nothing computes column {', '.join(unknown)} of steps: give it `derived`, a"
+                " function of `Shown`, in knotgym/datasets/episodes.py"
+            )
+        return {name: of(self) if of else given[name] for name, of in wanted.items()}
+
+
+class Reached(NamedTuple):
+    """Codes that episodes reached, in order: the episode and the step of each, int64 (m,)."""
+
+    episode: NDArray[np.int64]
+    step: NDArray[np.int64]
 
 
 class Episodes(NamedTuple):
@@ -166,16 +174,144 @@ class Episodes(NamedTuple):
         """Return the columns by the names of their tables, such as a journal keeps."""
         return {f"{table.schema.name}/{name}": own for table in self for name, own in table.items()}
 
+    @classmethod
+    def of(cls, columns: Mapping[str, NDArray[Any]]) -> "Episodes":
+        """Return the episodes whose `columns` are given; none is a recording."""
+        tables = []
+        for schema in (EPISODES, STEPS):
+            named = {name: columns.get(f"{schema.name}/{name}") for name in _names(schema)}
+            own = {name: column for name, column in named.items() if column is not None}
+            tables.append(Table(schema.only(*own), own))
+        return cls(*tables)
 
-def episodes_of(columns: Mapping[str, NDArray[Any]]) -> Episodes:
-    """Return the episodes whose `Episodes.columns` are given; none is a recording."""
+    @classmethod
+    def merged(cls, sets: Sequence["Episodes"]) -> "Episodes":
+        """Return all episodes, one set after the other."""
+        if not sets:
+            raise InvalidInput("nothing to merge: give at least one set of episodes")
+        return cls(*(Table.joined(tables) for tables in zip(*fitted(sets), strict=True)))
 
-    def table(schema: Schema) -> Table:
-        there = [name for name in _names(schema) if f"{schema.name}/{name}" in columns]
-        own = {name: columns[f"{schema.name}/{name}"] for name in there}
-        return Table(schema.only(*there), own)
+    def distinct(self) -> dict[str, int]:
+        """Count the distinct starts (rows of the states), goals (codes) and pairs of both.
 
-    return Episodes(table(EPISODES), table(STEPS))
+        A learner meets no more situations than pairs, however many episodes there are.
+        """
+        starts, goals = self.episodes["start"], _code_ids(self.episodes["goal_visits"])
+        both = {"starts": starts[:, None], "goals": goals[:, None]}
+        both["pairs"] = np.hstack([*both.values()])
+        return {name: len(np.unique(rows, axis=0)) for name, rows in both.items()}
+
+    def differences(
+        self, other: "Episodes", numbers: Sequence[int] | NDArray[np.int64] | None = None
+    ) -> list[str]:
+        """Say in which episode, step and column another set differs in any bit.
+
+        Columns that only one of them has, and the number of planned pulls, aren't compared.
+
+        Args:
+            other: the other set.
+            numbers: what to call the episodes; by default their places.
+
+        Returns:
+            For each episode and column the first difference, in order of the episodes.
+        """
+        if self.episodes.rows != other.episodes.rows:
+            return [f"{other.episodes.rows} episodes, should be {self.episodes.rows}"]
+        one, other = fitted([self, other])
+        called = range(one.episodes.rows) if numbers is None else numbers
+        found: list[tuple[int, int, str]] = []
+        for name in one.episodes.keys() & other.episodes.keys() - NOT_STEPPED:
+            rows = _differing(one.episodes[name], other.episodes[name])
+            found += [(row, -1, f"episode {called[row]}: {name} differs") for row in rows.tolist()]
+        # steps are compared where episodes have as many
+        alike = np.flatnonzero(one.episodes["length"] == other.episodes["length"])
+        if len(alike) < one.episodes.rows:
+            one, other = one.select(alike), other.select(alike)
+        owner, offsets = one.episode_of(), one.offsets
+        for name in one.steps.keys() & other.steps.keys():
+            rows = _differing(one.steps[name], other.steps[name])
+            for row in rows[np.unique(owner[rows], return_index=True)[1]].tolist():
+                k, step = int(alike[owner[row]]), int(row - offsets[owner[row]])
+                found.append((k, step, f"episode {called[k]}, step {step}: {name} differs"))
+        return [text for *_, text in sorted(found)]
+
+    def codes_held(self, tow_limit: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Number the code of each state, and count for how many steps it has been shown.
+
+        Returns:
+            int64 (rows,) each: the codes, numbered from 0, but -1 where none counts: from the
+            first state beyond the bound on towing on, and where the simulation blew up; and the
+            steps.
+        """
+        first = self.offsets[self.episode_of()]
+        beyond = np.zeros(self.steps.rows, dtype=bool)
+        if tow_limit is not None:  # see `rope.towing`
+            centres = self.steps["observation"].mean(axis=1, dtype=np.float64)
+            beyond = ~(np.linalg.norm(centres - centres[first], axis=1) <= tow_limit)
+        beyond[self.last()] |= self.episodes["diverged"]
+        passed = np.concatenate([[0], np.cumsum(beyond)])
+        numbers = _code_ids(self.steps["visits"])
+        numbers[passed[1:] > passed[first]] = -1
+        # the state of a reset isn't a step, so that the first step begins to hold a code
+        row = np.arange(len(numbers))
+        begins = np.append(True, numbers[1:] != numbers[:-1]) | (row - first <= 1)
+        held = row - np.maximum.accumulate(np.where(begins, row, 0)) + (row > first)
+        return numbers, held
+
+    def goals_reached(
+        self, hold: int = 1, tow_limit: float | None = None, relabel: str = "all"
+    ) -> Reached:
+        """Find the steps at which an episode has shown a new code for `hold` consecutive states.
+
+        The start's own code doesn't count, and each other code counts once, at its first such step.
+
+        Args:
+            hold: consecutive states that must show the code.
+            tow_limit: the task's; states from the first one beyond it on don't count.
+            relabel: "all" steps, or the "last" of each episode.
+        """
+        if relabel not in RELABEL:
+            known = " or ".join(map(repr, RELABEL))
+            raise InvalidInput(f"relabel must be {known}, got {relabel!r}")
+        (ids, held), episode, offsets = self.codes_held(tow_limit), self.episode_of(), self.offsets
+        rows = np.flatnonzero((ids >= 0) & (ids != ids[offsets[episode]]) & (held >= hold))
+        pairs = episode[rows] * (int(ids.max(initial=0)) + 1) + ids[rows]
+        first = rows[np.sort(np.unique(pairs, return_index=True)[1])]
+        if relabel == "last":
+            first = first[np.diff(episode[first], append=-1) != 0]
+        return Reached(episode[first], first - offsets[episode[first]])
+
+    def goal_reached(self, task: TaskConfig) -> NDArray[np.bool_]:
+        """Return which states show the goal for as many consecutive states as the task asks.
+
+        A start is never one of them, nor a state beyond the bound on towing or in which the
+        simulation blew up.
+
+        Returns:
+            bool (rows,), for each row of steps.
+        """
+        (ids, held), episode, own = (
+            self.codes_held(task.tow_limit),
+            self.episode_of(),
+            self.episodes,
+        )
+        shown = (self.steps["visits"] == own["goal_visits"][episode]).all(axis=1)
+        wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
+        return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
+
+    def digests(self) -> list[bytes]:
+        """Hash the start, goal and pulls of each episode; equal episodes have equal digests."""
+        (own, steps), offsets = self, self.offsets
+        return [
+            hashlib.sha256(
+                own["start_qpos"][row].tobytes()
+                + own["goal"][row].tobytes()
+                + np.trim_zeros(own["goal_visits"][row], "b").tobytes()
+                + steps["bead"][offsets[row] : offsets[row + 1]].tobytes()
+                + steps["force"][offsets[row] : offsets[row + 1]].tobytes()
+            ).digest()
+            for row in range(own.rows)
+        ]
 
 
 def code_sizes(crossings: int) -> dict[str, int]:
@@ -189,73 +325,10 @@ def code_sizes(crossings: int) -> dict[str, int]:
 
 def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
     """Make codes as wide as the longest of all sets needs; other columns aren't copied."""
-    most = 0
-    for one in sets:
-        for table in one:
-            for name in {"visits", "goal_visits"} & table.keys():
-                most = max(most, int(np.count_nonzero(table[name], axis=1).max(initial=0)) // 2)
-    sizes = code_sizes(most)
-    return [Episodes(_widened(one.episodes, sizes), _widened(one.steps, sizes)) for one in sets]
-
-
-def merged(sets: Sequence[Episodes]) -> Episodes:
-    """Return all episodes, one set after the other."""
-    if not sets:
-        raise InvalidInput("nothing to merge: give at least one set of episodes")
-    same = fitted(sets)
-    return Episodes(
-        Table.joined([one.episodes for one in same]), Table.joined([one.steps for one in same])
-    )
-
-
-def differences(
-    one: Episodes, other: Episodes, numbers: Sequence[int] | NDArray[np.int64] | None = None
-) -> list[str]:
-    """Say in which episode, step and column two sets differ in any bit.
-
-    Columns that only one of them has, and the number of planned pulls, aren't compared.
-
-    Args:
-        one, other: the sets.
-        numbers: what to call the episodes; by default their places.
-
-    Returns:
-        For each episode and column the first difference, in order of the episodes.
-    """
-    if one.episodes.rows != other.episodes.rows:
-        return [f"{other.episodes.rows} episodes, should be {one.episodes.rows}"]
-    one, other = fitted([one, other])
-    called = range(one.episodes.rows) if numbers is None else numbers
-    found: list[tuple[int, int, str]] = []
-    for name in one.episodes.keys() & other.episodes.keys() - NOT_STEPPED:
-        rows = _differing(one.episodes[name], other.episodes[name])
-        found += [(row, -1, f"episode {called[row]}: {name} differs") for row in rows.tolist()]
-    # steps are compared where episodes have as many
-    alike = np.flatnonzero(one.episodes["length"] == other.episodes["length"])
-    if len(alike) < one.episodes.rows:
-        one, other = one.select(alike), other.select(alike)
-    owner, offsets = one.episode_of(), one.offsets
-    for name in one.steps.keys() & other.steps.keys():
-        rows = _differing(one.steps[name], other.steps[name])
-        for row in rows[np.unique(owner[rows], return_index=True)[1]].tolist():
-            k, step = int(alike[owner[row]]), int(row - offsets[owner[row]])
-            found.append((k, step, f"episode {called[k]}, step {step}: {name} differs"))
-    return [text for *_, text in sorted(found)]
-
-
-def episode_digests(episodes: Episodes) -> list[bytes]:
-    """Hash the start, goal and pulls of each episode; equal episodes have equal digests."""
-    (own, steps), offsets = episodes, episodes.offsets
-    return [
-        hashlib.sha256(
-            own["start_qpos"][row].tobytes()
-            + own["goal"][row].tobytes()
-            + np.trim_zeros(own["goal_visits"][row], "b").tobytes()
-            + steps["bead"][offsets[row] : offsets[row + 1]].tobytes()
-            + steps["force"][offsets[row] : offsets[row + 1]].tobytes()
-        ).digest()
-        for row in range(own.rows)
-    ]
+    codes = [table[name] for one in sets for table in one for name in _VISITS if name in table]
+    most = max([0, *(int(np.count_nonzero(one, axis=1).max(initial=0)) for one in codes)])
+    sizes = code_sizes(most // 2)
+    return [Episodes(*(_widened(table, sizes) for table in one)) for one in sets]
 
 
 def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
@@ -279,31 +352,18 @@ def _code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
     return np.unique(keys, return_inverse=True)[1].astype(np.int64)
 
 
-def distinct(episodes: Table) -> dict[str, int]:
-    """Count the distinct starts (rows of the states), goals (codes) and pairs of both.
-
-    A learner meets no more situations than pairs, however many episodes there are.
-    """
-    starts, goals = episodes["start"], _code_ids(episodes["goal_visits"])
-    pairs = np.unique(np.stack([starts, goals], axis=1), axis=0)
-    return {
-        "starts": len(np.unique(starts)),
-        "goals": len(np.unique(goals)),
-        "pairs": len(pairs),
-    }
-
-
 def gauss_codes(
     visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None
 ) -> NDArray[np.str_]:
     """Write codes as text, with chirality if signs are given: str (n,)."""
     both = visits if signs is None else np.concatenate([visits, signs.astype(np.int16)], axis=1)
     ids = _code_ids(both)
-    texts: dict[int, str] = {}
-    for row in np.unique(ids, return_index=True)[1].tolist():
-        code = gauss_code(visits[row], None if signs is None else signs[row])
-        texts[int(ids[row])] = str(code) if signs is None else code.chiral
-    return np.array([texts[k] for k in range(len(texts))], dtype=str)[ids]
+    first = np.unique(ids, return_index=True)[1]
+    if signs is None:
+        texts = [str(gauss_code(visits[row])) for row in first]
+    else:
+        texts = [gauss_code(visits[row], signs[row]).chiral for row in first]
+    return np.array(texts, dtype=str)[ids]
 
 
 def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None) -> GaussCode:
@@ -318,103 +378,15 @@ def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None)
     return GaussCode(numbers, letters_of(signs[: len(numbers) // 2].tolist()))
 
 
-def _within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
-    """Return which states lie within the bound on towing: bool (rows,), see `rope.towing`."""
-    seen = episodes.steps["observation"]
-    if tow_limit is None:
-        return np.ones(len(seen), dtype=bool)
-    centres = seen.mean(axis=1, dtype=np.float64)
-    origins = np.repeat(centres[episodes.offsets[:-1]], episodes.episodes["length"] + 1, axis=0)
-    return np.asarray(np.linalg.norm(centres - origins, axis=1) <= tow_limit)
-
-
-def codes_held(
-    episodes: Episodes, tow_limit: float | None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number the code of each state, and count for how many steps it has been shown.
-
-    Returns:
-        int64 (rows,) each: the codes, numbered from 0, but -1 where none counts: from the
-        first state beyond the bound on towing on, and where the simulation blew up; and the steps.
-    """
-    offsets, episode = episodes.offsets, episodes.episode_of()
-    beyond = ~_within_tow(episodes, tow_limit)
-    beyond[episodes.last()] |= episodes.episodes["diverged"]
-    passed = np.concatenate([[0], np.cumsum(beyond)])
-    numbers = _code_ids(episodes.steps["visits"])
-    numbers[passed[1:] > passed[offsets[episode]]] = -1
-    # the state of a reset isn't a step, so that the first step begins to hold a code
-    row = np.arange(len(numbers))
-    step = row - offsets[episode]
-    begins = np.append(True, numbers[1:] != numbers[:-1]) | (step <= 1)
-    held = row - np.maximum.accumulate(np.where(begins, row, 0)) + (step > 0)
-    return numbers, held
-
-
-class Reached(NamedTuple):
-    """Codes that episodes reached, in order: the episode and the step of each, int64 (m,)."""
-
-    episode: NDArray[np.int64]
-    step: NDArray[np.int64]
-
-
-def goals_reached(
-    episodes: Episodes, hold: int = 1, tow_limit: float | None = None, relabel: str = "all"
-) -> Reached:
-    """Find the steps at which an episode has shown a new code for `hold` consecutive states.
-
-    The start's own code doesn't count, and each other code counts once, at its first such step.
-
-    Args:
-        episodes: columns.
-        hold: consecutive states that must show the code.
-        tow_limit: the task's; states from the first one beyond it on don't count.
-        relabel: "all" steps, or the "last" of each episode.
-    """
-    if relabel not in RELABEL:
-        raise InvalidInput(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
-    (ids, held), episode, offsets = (
-        codes_held(episodes, tow_limit),
-        episodes.episode_of(),
-        episodes.offsets,
-    )
-    rows = np.flatnonzero((ids >= 0) & (ids != ids[offsets[episode]]) & (held >= hold))
-    pairs = episode[rows] * (int(ids.max(initial=0)) + 1) + ids[rows]
-    first = rows[np.sort(np.unique(pairs, return_index=True)[1])]
-    if relabel == "last":
-        first = first[np.append(np.diff(episode[first]) > 0, True)] if len(first) else first
-    return Reached(episode[first], first - offsets[episode[first]])
-
-
-def goal_reached(episodes: Episodes, task: TaskConfig) -> NDArray[np.bool_]:
-    """Return which states show the goal for as many consecutive states as the task asks.
-
-    A start is never one of them, nor a state beyond the bound on towing or in which the simulation
-    blew up.
-
-    Returns:
-        bool (rows,), for each row of steps.
-    """
-    (ids, held), episode = codes_held(episodes, task.tow_limit), episodes.episode_of()
-    own = episodes.episodes
-    shown = (episodes.steps["visits"] == own["goal_visits"][episode]).all(axis=1)
-    wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
-    return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
-
-
 def _names(schema: Schema) -> list[str]:
     return [column.name for column in schema.columns]
 
 
 def _widened(table: Table, sizes: dict[str, int]) -> Table:
     """Return a table whose codes are as wide as `sizes` says; what is cut off is zero."""
-    columns = dict(table)
-    for name in (one for one in _CODES if one in table):
-        width = sizes["labels" if name == "signs" else "visits"]
-        columns[name] = kept = table[name][:, :width]
-        if kept.shape[1] < width:
-            columns[name] = np.pad(kept, ((0, 0), (0, width - kept.shape[1])))
-    return Table(table.schema.sized(**sizes), columns)
+    codes = {c.name: sizes[str(c.shape[0])] for c in table.schema.columns if c.shape in _OF_CODES}
+    own = {name: padded(table[name], width) for name, width in codes.items()}
+    return Table(table.schema.sized(**sizes), {**table, **own})
 
 
 def _differing(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.int64]:

@@ -1,23 +1,49 @@
-"""Rows of a perception table: a configuration, what follows from it, and its picture.
+"""Rows of a perception table: how they are made and verified.
 
-The same rows give the same bytes on any worker.
+The same rows give the same bytes on any worker. Verification believes nothing that is stored: it
+compares every row with what follows from its points and its appearance, and looks for what splits
+share. Each fault is reported as one line.
 """
 
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream
-from knotgym.datasets.image_table import COLUMNS, encode, parquet, table_of
-from knotgym.quality import LEGIBLE, ease, grade_of
-from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawn, drawer_of, own_columns
-from knotgym.rope import Array
-from knotgym.states import STATES, RopeAtRest
+from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, one_line
+from knotgym.datasets.episode_verification import Count, shared_faults, uncounted
+from knotgym.datasets.image_table import (
+    COLUMNS,
+    arrow,
+    encode,
+    marks_base,
+    parquet,
+    points_of,
+    read_rows,
+    read_table,
+    row_line,
+    shards,
+    stored_digest,
+    table_of,
+)
+from knotgym.datasets.manifest import listed_faults, read_manifest
+from knotgym.datasets.state_verification import row_faults as state_faults
+from knotgym.quality import LEGIBLE, UNAMBIGUOUS, Quality, ease, grade_of
+from knotgym.rendering import APPEARANCES, SIZES, AppearanceConfig, Drawn, drawer_of, own_columns
+from knotgym.rope import Array, Rope
+from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest, held_form
 
 _CODES = STATES.only(*("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot"))
+_COLOURS = ("published", "single", "gradient")
+# what foreign numbers make the renderer and NumPy raise
+_RAISED = (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error)
+_MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones would fill the memory
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
 
 
 class PictureRow(NamedTuple):
@@ -82,3 +108,104 @@ def redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
     """Draw the picture of a row, as `read_rows` gives it, again."""
     drawer = drawer_of(row["appearance"]["name"])
     return drawer.drawn(points, drawer.read(row))
+
+
+def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) -> Iterator[str]:
+    """Yield the faults of a table: manifest and checksums, then rows and splits.
+
+    Args:
+        path: a folder made by `knotgym images`, or a single shard, whose rows alone are checked.
+        each: `map` or a pool's, for shards; results keep the order.
+        count: progress callback (stage, done, total).
+    """
+    folder = Path(path)
+    arrow()
+    if folder.is_dir():
+        manifest, faults = read_manifest(folder)
+        yield from [*faults, *listed_faults(folder, manifest)]
+    files = shards(path)
+    count("files of pictures", 0, len(files))
+    for done, faults in enumerate(each(shard_faults, files), 1):
+        count("files of pictures", done, len(files))
+        yield from faults
+    try:
+        compared = ("gauss_code", "nx", "split", "points", "source", "appearance")
+        table = read_table(path, columns=compared)
+        points_of(table)
+    except InvalidFile:  # a fault already
+        return
+    if len(table):
+        yield from _split_faults(table)
+    else:
+        yield f"{folder.name} has no rows"
+
+
+def shard_faults(path: Path) -> list[str]:
+    """List the faults of the rows of a shard, and compare the rows with its `content_sha256`."""
+    faults, now = [], hashlib.sha256()
+    try:
+        for n, row in enumerate(read_rows(path)):
+            try:
+                own = list(row_faults(row))
+            except _RAISED as error:
+                own = [f"it can't be rendered or measured: {one_line(error)}"]
+            faults += [f"{path.name} row {n}: {fault}" for fault in own]
+            now.update(row_line(row))
+        digest = stored_digest(path)
+    except (InvalidFile, MissingFile) as error:
+        return [str(error)]
+    if digest != now.hexdigest():
+        faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
+    return faults
+
+
+def row_faults(row: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the faults of one row, as `read_rows` gives it."""
+    if (name := row["appearance"]["name"]) not in APPEARANCES:
+        yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
+        return
+    factors = {
+        f"{name}.{one}": value
+        for name in ("appearance", *own_columns(row["appearance"]["name"]))
+        if isinstance(row[name], dict)
+        for one, value in row[name].items()
+    }
+    for name, value in factors.items():
+        low, high = SIZES if name == "appearance.size" else (-_MOST_DRAWN, _MOST_DRAWN)
+        numeric = isinstance(value, (int, float)) and name != "appearance.seed"
+        if numeric and not low <= value <= high:
+            yield f"{name} is {value}, should be {low:g} to {high:g}"
+            return
+    points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
+    whole = {**row, "points": points}
+    yield from state_faults(whole, Rope(), lambda own: derived(own, redrawn(own.points, row)))
+    if (colours := row["appearance"]["colours"]) not in _COLOURS:
+        yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
+    if row["split"] not in IMAGE_SPLITS:
+        yield f"split is {row['split']!r}, should be {' or '.join(IMAGE_SPLITS)}"
+    if missed := UNAMBIGUOUS.faults(Quality(**row["quality"]), row["nx"]):
+        yield f"the code is ambiguous in the picture: {', '.join(missed)}"
+
+
+def _split_faults(table: Any) -> Iterator[str]:
+    """Yield what splits share: near-duplicates and ropes; and codes or nx in the wrong split."""
+    split, codes, nx = (np.array(table[name].to_pylist()) for name in ("split", "gauss_code", "nx"))
+    sources = table["source"].to_pylist()
+    numbers = [source["row"] for source in sources]
+    # the ropes of several seeds have the same numbers
+    ropes = [(source["seed"], source["rope"]) for source in sources]
+    yield from shared_faults(points_of(table), split, ropes, numbers)
+    # codes of test-nx have more crossings than any other split's, so they aren't compared
+    marked = marks_base(table)
+    held, seen = (
+        {held_form(code, marked=marked) for code in set(codes[np.isin(split, names)].tolist())}
+        for names in (("test-code",), ("train", "test"))
+    )
+    for code in sorted(held & seen):
+        same = "" if marked else ", from another base or in another direction,"
+        yield f"code {code or 'loop'}{same} is in test-code and in train or test"
+    harder, trained = nx[split == "test-nx"], nx[split == "train"]
+    if len(harder) and len(trained) and harder.min() <= trained.max():
+        yield "test-nx has pictures with no more crossings than train"
+    if len(set(numbers)) != len(numbers):
+        yield "two rows have the same number"

@@ -14,7 +14,6 @@ from knotgym.datasets.episode_dataset import (
     require_alike,
     write_episodes,
 )
-from knotgym.datasets.episodes import episode_digests
 from knotgym.datasets.located import locate
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.datasets.selectable import EpisodeRows, StateRows, opened, require_file
@@ -126,7 +125,7 @@ def _facts(dataset: EpisodeDataset) -> dict[str, object]:
 def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
     """Refuse two episodes with the same start, goal and pulls."""
     every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
-    for pair in repeated(digest for one in datasets for digest in episode_digests(one.episodes)):
+    for pair in repeated(digest for one in datasets for digest in one.episodes.digests()):
         first, second = (f"episode {every[k][1]} of {every[k][0].path}" for k in pair)
         raise InvalidInput(
             f"{first} and {second} are the same; merge datasets that share no episode"

@@ -52,7 +52,7 @@ from knotgym.datasets.episode_dataset import (
     open_episodes,
     write_episodes,
 )
-from knotgym.datasets.episodes import STEPS, Episodes, gauss_codes, goal_reached
+from knotgym.datasets.episodes import STEPS, Episodes, gauss_codes
 from knotgym.envs import TaskConfig
 from knotgym.rope import action_space
 from knotgym.states import CODE_SPLITS, minari_root
@@ -302,7 +302,7 @@ def _minari_episodes(
         "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
         "goal_gauss_code": goals[dataset.episodes.episode_of()],
         "crossings": steps["crossings"].astype(np.int64),
-        "is_success": goal_reached(dataset.episodes, dataset.task),
+        "is_success": dataset.episodes.goal_reached(dataset.task),
         "simulation_failed": failed,
         "points": steps["observation"],
         "bead": led(steps["bead"].astype(np.int64), -1),

@@ -32,9 +32,6 @@ from knotgym.datasets.episodes import (
     STEPS,
     Episodes,
     Shown,
-    goal_reached,
-    merged,
-    state_columns,
 )
 from knotgym.envs import TaskConfig
 
@@ -66,8 +63,8 @@ def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
         raise
     except Exception as error:  # there is no end to what foreign bytes make h5py and NumPy raise
         raise InvalidFile(f"{path} can't be loaded: {one_line(error)}") from error
-    every = merged(parts)
-    reached = np.logical_or.reduceat(goal_reached(every, task), every.offsets[:-1])
+    every = Episodes.merged(parts)
+    reached = np.logical_or.reduceat(every.goal_reached(task), every.offsets[:-1])
     return every._replace(episodes=every.episodes.replaced(success=reached)), task
 
 
@@ -109,7 +106,7 @@ def _episode(
     schema = STEPS.sized(**sizes).without(*optional)
     shown = Shown(points, codes.visits[:-1], codes.signs[:-1], codes.crossings[:-1])
     steps = schema.empty(pulls + 1)
-    for column, found in state_columns(schema, shown).items():
+    for column, found in shown.columns(schema).items():
         steps[column][:] = found
     led: dict[str, Any] = {
         "bead": decode_actions(actions, points[:pulls], rope)[0],

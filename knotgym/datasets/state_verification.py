@@ -24,12 +24,12 @@ from knotgym.datasets.episode_verification import (
     Count,
     Replay,
     ReplayFault,
+    shared_faults,
     uncounted,
     verify_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
-from knotgym.datasets.split_verification import shared_faults
 from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import MAX_BEADS, MIN_BEADS
 from knotgym.rope import (

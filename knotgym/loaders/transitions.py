@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Table
-from knotgym.datasets import codes_held, columns_of, goals_reached, ranges
+from knotgym.datasets import columns_of, ranges
 from knotgym.envs import ACTIONS, Situation, outcome, reached, require_frame
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
@@ -131,7 +131,7 @@ class Transitions:
             self.goal_step = np.full(len(lengths), -1)
         else:
             hold, limit = self.task.hold, self.task.tow_limit
-            self.episode, lengths = goals_reached(episodes, hold, limit, relabel)
+            self.episode, lengths = episodes.goals_reached(hold, limit, relabel)
             self.goal_step = lengths
         self._offsets = episodes.offsets
         first = self._offsets[self.episode]
@@ -295,7 +295,7 @@ class Transitions:
         steps, lengths = self.dataset.episodes.steps, self.goal_step
         before = ranges(self._offsets[self.episode], lengths)
         after, goal = before + 1, np.repeat(self._offsets[self.episode] + lengths, lengths)
-        codes, held = codes_held(self.dataset.episodes, self.task.tow_limit)
+        codes, held = self.dataset.episodes.codes_held(self.task.tow_limit)
         shown = np.where(codes[after] == codes[goal], held[after], 0)
         count, visits = ranges(np.ones_like(lengths), lengths), steps["visits"]
         # A segment ends at its goal: no state before is beyond the bound on towing or has failed.
@@ -502,7 +502,7 @@ class Transitions:
     @cached_property
     def _codes_held(self) -> tuple[Ids, Ids]:
         """`codes_held` of the states of all segments."""
-        codes, held = codes_held(self.dataset.episodes, self.task.tow_limit)
+        codes, held = self.dataset.episodes.codes_held(self.task.tow_limit)
         return codes[self._states], held[self._states]
 
     def _stack(self, states: Ids, segments: Ids) -> Ids:

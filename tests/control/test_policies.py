@@ -25,7 +25,7 @@ from knotgym.control.policies import (
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
 from knotgym.control.recorded_policy import RecordedPolicy
 from knotgym.control.sampler import Pulls, rollouts
-from knotgym.datasets import PULLS, Episodes, differences, write_episodes
+from knotgym.datasets import PULLS, Episodes, write_episodes
 from knotgym.envs import KnotEnv, TaskConfig
 from knotgym.states import States
 from knotgym.topology import CodeArrays, label
@@ -210,8 +210,8 @@ TASKS = {
 def test_an_episode_depends_on_its_own_seed_alone(name: str) -> None:
     many = played(name, SEEDS, 256, TASKS[name])
     few = played(name, SEEDS[::-1], 3, TASKS[name]).select(range(19, -1, -1))
-    assert differences(many, few) == []
-    assert differences(many.select([7]), played(name, SEEDS[7:8], 1, TASKS[name])) == []
+    assert many.differences(few) == []
+    assert many.select([7]).differences(played(name, SEEDS[7:8], 1, TASKS[name])) == []
     assert (many.episodes["length"] <= TASKS[name].horizon).all()
 
 
@@ -223,7 +223,7 @@ def test_arrays_that_user_code_shares_or_changes_change_no_episode(name: str) ->
     assert np.array_equal(many.steps["force"], plain.steps["force"])
     for lanes, count in ((1, 4), (2, 8), (7, 32)):
         few = played(f"own:{name}", seeds[:count], lanes)
-        assert differences(many.select(range(count)), few) == []
+        assert many.select(range(count)).differences(few) == []
 
 
 @pytest.mark.parametrize("name", ["random", "scripted", "noisy", "own:informed"])
@@ -238,7 +238,7 @@ def test_another_attempt_draws_other_pulls_from_the_same_starts(name: str) -> No
 def test_repeating_the_pulls_gives_the_same_bits(name: str) -> None:
     made = played(name, SEEDS, 16)
     again = rollouts(RecordedPolicy(made.recording()), TASK, made.episodes, lanes=5)
-    assert differences(made, again) == []
+    assert made.differences(again) == []
 
 
 @pytest.mark.parametrize("action", ["pull", "bead", "macro"])
@@ -287,7 +287,7 @@ def test_advice_is_stored_and_not_followed() -> None:
     expert = make_policy(PolicyConfig(policy="expert"))
     made = rollouts(RandomPolicy(), TASK, SEEDS[:4], adviser=expert)
     plain = rollouts(RandomPolicy(), TASK, SEEDS[:4])
-    assert differences(plain, made) == [] and "expert_action" not in plain.steps
+    assert plain.differences(made) == [] and "expert_action" not in plain.steps
     advised = made.steps["expert_action"][made.offsets[:-1]]
     followed = rollouts(expert, TASK, SEEDS[:4])
     assert np.array_equal(advised, followed.steps["action"][followed.offsets[:-1]])

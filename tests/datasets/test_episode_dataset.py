@@ -13,12 +13,11 @@ from synthetic_episodes import TASK, episodes, written
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, sha256
 from knotgym.datasets.episode_dataset import (
     columns_of,
-    content_digest,
+    digests_of,
     episode_file,
     open_episodes,
     write_episodes,
 )
-from knotgym.datasets.episodes import differences
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +30,7 @@ def test_what_is_written_is_read(tmp_path: Path, pack: bool) -> None:
     made = episodes([3, 1])
     write_episodes(tmp_path / "a.h5", [made], TASK, {"run": {"seed": 3}}, pack=pack)
     read = open_episodes(tmp_path / "a.h5")
-    assert differences(made, read.episodes) == []
+    assert made.differences(read.episodes) == []
     assert made.episodes.keys() == read.episodes.episodes.keys()
     assert made.steps.keys() == read.episodes.steps.keys()
     assert read.task == TASK and read.facts == {"run": {"seed": 3}}
@@ -59,19 +58,18 @@ def test_a_pickled_dataset_keeps_its_selection_and_no_data(file: Path) -> None:
     stored = pickle.dumps(chosen)
     again = pickle.loads(stored)
     assert len(stored) < 1000 and again.rows.tolist() == [0]
-    assert differences(chosen.episodes, again.episodes) == []
+    assert chosen.episodes.differences(again.episodes) == []
 
 
 def test_the_digest_follows_the_pulls_alone() -> None:
     made = episodes([3])
     moved = made.steps["observation"] + 1
     force = made.steps["force"] / 2
-    assert content_digest(made) == content_digest(
-        made._replace(steps=made.steps.replaced(observation=moved))
-    )
-    assert content_digest(made) != content_digest(
-        made._replace(steps=made.steps.replaced(force=force))
-    )
+    digests = [
+        digests_of([made._replace(steps=made.steps.replaced(**changed))])["digest"]
+        for changed in ({}, {"observation": moved}, {"force": force})
+    ]
+    assert digests[0] == digests[1] != digests[2]
 
 
 def test_a_dataset_is_found_by_file_folder_data_folder_and_id(

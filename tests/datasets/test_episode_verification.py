@@ -16,7 +16,7 @@ from knotgym.control import replay
 from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episode_verification import expanded, verify_episodes
-from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, distinct, gauss_codes
+from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, gauss_codes
 from knotgym.envs import TaskConfig
 
 Change = Callable[[NDArray[np.generic]], None]
@@ -151,12 +151,13 @@ def test_an_episode_twice_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> No
 
 def test_a_summary_says_how_many_situations_the_episodes_are() -> None:
     good = open_episodes(TINY["expert"]).episodes
-    twice = good.select([0, 1, 2, 0, 1, 2]).episodes
-    starts, goals = set(twice["start"].tolist()), {*gauss_codes(twice["goal_visits"]).tolist()}
-    assert distinct(twice) == {"starts": len(starts), "goals": len(goals), "pairs": 3}
+    twice = good.select([0, 1, 2, 0, 1, 2])
+    starts = set(twice.episodes["start"].tolist())
+    goals = {*gauss_codes(twice.episodes["goal_visits"]).tolist()}
+    assert twice.distinct() == {"starts": len(starts), "goals": len(goals), "pairs": 3}
     found = show_episodes(TINY["expert"])
     assert (found["episodes"], found["success_rate"], found["form"]) == (3, 1.0, "columns")
-    assert found["policies"] == {"expert": 3} and found["distinct"] == distinct(twice)
+    assert found["policies"] == {"expert": 3} and found["distinct"] == twice.distinct()
 
 
 def test_a_damaged_file_is_one_fault(tmp_path: Path) -> None:

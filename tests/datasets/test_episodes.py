@@ -9,11 +9,8 @@ from knotgym.datasets.episodes import (
     RECORDED,
     Episodes,
     code_sizes,
-    differences,
     fitted,
     gauss_codes,
-    goals_reached,
-    merged,
 )
 from knotgym.topology import GaussCode
 
@@ -49,7 +46,7 @@ def test_select_returns_whole_episodes_in_the_order_asked_for() -> None:
 
 def test_merged_codes_are_as_wide_as_the_longest() -> None:
     one, two = showing([0, 1]), showing([0, 2])
-    both = merged([fitted([one.select([0])])[0], two])
+    both = Episodes.merged([fitted([one.select([0])])[0], two])
     assert both.steps["visits"].shape[1] == 4
     assert gauss_codes(both.steps["visits"]).tolist() == ["", "1+,1-", "", "1+,2-,2+,1-"]
 
@@ -81,10 +78,10 @@ def test_differences_name_episode_step_and_column() -> None:
         made.episodes.replaced(return_=total), made.steps.replaced(applied_fraction=share)
     )
     planned = made._replace(episodes=made.episodes.replaced(planner_steps=np.array([7, 7])))
-    assert differences(made, made) == differences(made, planned) == []  # not compared
-    assert "episode 0: length differs" in differences(made, made.select([1, 1]))
-    assert differences(made, made.select([0])) == ["1 episodes, should be 2"]
-    assert differences(made, other) == [
+    assert made.differences(made) == made.differences(planned) == []  # not compared
+    assert "episode 0: length differs" in made.differences(made.select([1, 1]))
+    assert made.differences(made.select([0])) == ["1 episodes, should be 2"]
+    assert made.differences(other) == [
         "episode 0: return_ differs",
         "episode 1, step 1: applied_fraction differs",
     ]
@@ -95,14 +92,14 @@ def test_differences_name_episode_step_and_column() -> None:
     st.integers(1, 3),
 )
 def test_goals_are_those_found_step_by_step(shown: list[list[int]], hold: int) -> None:
-    found = goals_reached(showing(*shown), hold)
+    found = showing(*shown).goals_reached(hold)
     pairs = [(k, step) for k, one in enumerate(shown) for step in naive(one, hold)]
     assert sorted(zip(found.episode.tolist(), found.step.tolist(), strict=True)) == pairs
 
 
 def test_last_keeps_one_goal_of_each_episode() -> None:
     made = showing([0, 1, 2, 1], [0, 0], [1, 0])
-    found = goals_reached(made, relabel="last")
+    found = made.goals_reached(relabel="last")
     assert found.episode.tolist() == [0, 2] and found.step.tolist() == [2, 1]
 
 
@@ -111,4 +108,4 @@ def test_states_beyond_the_tow_limit_are_no_goals() -> None:
     points = np.zeros_like(made.steps["observation"])
     points[2:] += 1
     made = made._replace(steps=made.steps.replaced(observation=points))
-    assert goals_reached(made, tow_limit=0.5).step.tolist() == [1]
+    assert made.goals_reached(tow_limit=0.5).step.tolist() == [1]

@@ -19,9 +19,9 @@ from synthetic_episodes import TASK, TINY, episodes, written
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.control import replay, verify
 from knotgym.datasets import open_episodes, write_episodes
-from knotgym.datasets.cards.citation import citation_file
-from knotgym.datasets.episodes import differences, gauss_codes
-from knotgym.datasets.exports.exporters import EXPORTS, Export, export, export_help
+from knotgym.datasets.cards import citation_file
+from knotgym.datasets.episodes import gauss_codes
+from knotgym.datasets.exports import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located, locate
 from knotgym.datasets.merging import merge
@@ -71,7 +71,7 @@ def test_a_recording_is_the_columns_again(form: str, tmp_path: Path) -> None:
     assert open_episodes(tmp_path / "r.h5").episodes.is_recording
     export(str(tmp_path / "r.h5"), tmp_path / "c.h5", form, replay)
     one, other = (open_episodes(path).episodes for path in (EXPERT, tmp_path / "c.h5"))
-    assert differences(one, other) == []
+    assert one.differences(other) == []
     is_mapped = not other.steps["observation"].flags.owndata
     assert is_mapped == (form == "columns")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from knotgym.common import InvalidFile
-from knotgym.datasets.foreign_file import try_files
+from knotgym.datasets.located import try_files
 from knotgym.runs import InProcess
 
 

@@ -13,9 +13,8 @@ import pytest
 
 from knotgym.common import InvalidFile
 from knotgym.datasets import image_table as tables
-from knotgym.datasets.image_rows import PictureRow, record
+from knotgym.datasets.image_rows import PictureRow, record, shard_faults
 from knotgym.datasets.image_table import decode, encode, read_table
-from knotgym.datasets.image_verification import shard_faults
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 

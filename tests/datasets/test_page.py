@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
+import knotgym.datasets.page as data_module
 from knotgym.common import InvalidInput
 from knotgym.datasets import open_episodes
 from knotgym.datasets.located import Located
-from knotgym.datasets.page import page_data as data_module
-from knotgym.datasets.page.page_data import page_data, page_html
+from knotgym.datasets.page import page_data, page_html
 from knotgym.states import States, write_states
 
 HOSTILE = "</script><img src=http://a/ onerror=fault()>"

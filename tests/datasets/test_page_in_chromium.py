@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from knotgym.datasets.located import Located
-from knotgym.datasets.page.page_data import page_data, page_html
+from knotgym.datasets.page import page_data, page_html
 from knotgym.states import States, write_states
 
 from .. import chromium

@@ -11,12 +11,11 @@ import pytest
 
 from knotgym.control import replay
 from knotgym.datasets.cards.croissant import write_croissant
-from knotgym.datasets.exports.exporters import export
-from knotgym.datasets.image_rows import PictureRow, record, redrawn
+from knotgym.datasets.exports import export
+from knotgym.datasets.image_rows import PictureRow, record, redrawn, row_faults
 from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
-from knotgym.datasets.image_verification import row_faults
 from knotgym.datasets.located import Located
-from knotgym.datasets.page.page_data import page_data, page_html
+from knotgym.datasets.page import page_data, page_html
 from knotgym.rendering import AppearanceConfig, tilted
 from knotgym.states import read_states, shipped
 

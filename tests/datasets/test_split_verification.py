@@ -12,7 +12,7 @@ from synthetic_episodes import TINY
 
 from knotgym.common import Table
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
-from knotgym.datasets.split_verification import duplicate_faults, split_faults
+from knotgym.datasets.episode_verification import duplicate_faults, split_faults
 from knotgym.datasets.state_verification import _demonstration_faults
 from knotgym.states import States, read_states, shipped
 

@@ -11,14 +11,12 @@ from synthetic_episodes import TASK, TINY, episodes, written
 import knotgym
 from knotgym.common import InvalidInput, MissingFile, Occupied
 from knotgym.control import replay
-from knotgym.datasets import delete, open_episodes, select, split
-from knotgym.datasets.conditions import matching_rows
-from knotgym.datasets.episodes import differences, merged
-from knotgym.datasets.exports.exporters import export
+from knotgym.datasets import Episodes, delete, open_episodes, select, split
+from knotgym.datasets.exports import export
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.selectable import write_rows
-from knotgym.datasets.subsets import kept
+from knotgym.datasets.subsets import kept, matching_rows
 from knotgym.states import read_states, shipped, write_states
 
 COLUMNS = {
@@ -80,7 +78,7 @@ def test_selected_episodes_are_those_of_the_source(tmp_path: Path) -> None:
     made = written(tmp_path / "a.h5", episodes([3, 1, 4, 2]))
     out = select(made, where="length > 2 and truncated", out=tmp_path / "b.h5")
     found = open_episodes(out)
-    assert differences(found.episodes, open_episodes(made).episodes.select([0, 2])) == []
+    assert found.episodes.differences(open_episodes(made).episodes.select([0, 2])) == []
     (how,) = found.attributes["selection"]
     assert (how["rows"], how["kept"], how["where"]) == (4, 2, "length > 2 and truncated")
     assert kept(out) == "2 of 4 rows"
@@ -205,7 +203,7 @@ def test_merged_files_hold_the_episodes_of_all(tmp_path: Path) -> None:
     parts = [episodes([2, 1]), episodes([3], seed=1)]
     paths = [str(written(tmp_path / f"{k}.h5", one)) for k, one in enumerate(parts)]
     merge(paths, tmp_path / "m.h5")
-    assert differences(open_episodes(tmp_path / "m.h5").episodes, merged(parts)) == []
+    assert open_episodes(tmp_path / "m.h5").episodes.differences(Episodes.merged(parts)) == []
 
 
 def test_a_set_with_macro_actions_and_one_without_are_merged(tmp_path: Path) -> None:

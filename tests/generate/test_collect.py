@@ -13,8 +13,7 @@ from knotgym.control import PolicyConfig, PullPlannerConfig, verify
 from knotgym.datasets import (
     FILE,
     columns_of,
-    content_digest,
-    differences,
+    digests_of,
     merge,
     open_episodes,
     select,
@@ -90,8 +89,8 @@ def test_a_set_of_more_steps_begins_with_that_of_fewer(tmp_path: Path) -> None:
     few, many, pulls = made.values()
     lengths = few.episodes["length"]
     assert lengths.sum() - lengths[-1] < 40 <= lengths.sum()
-    assert differences(few, many.select(np.arange(len(lengths)))) == []
-    assert pulls.is_recording and content_digest(pulls) == content_digest(many)
+    assert few.differences(many.select(np.arange(len(lengths)))) == []
+    assert pulls.is_recording and digests_of([pulls])["digest"] == digests_of([many])["digest"]
 
 
 def test_a_set_of_steps_is_verified_by_the_episodes_that_they_took(tmp_path: Path) -> None:
@@ -134,7 +133,7 @@ def test_labels_are_the_expert_s_and_change_nothing_that_is_played(tmp_path: Pat
     folder = collect(config(episodes=2, labels="expert"), tmp_path, QUIET)
     labelled = columns_of(folder).episodes
     assert "-labelled-" in folder.name
-    assert differences(plain, labelled) == [] and labelled.steps["expert_action"].any()
+    assert plain.differences(labelled) == [] and labelled.steps["expert_action"].any()
 
 
 def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> None:

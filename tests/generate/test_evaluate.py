@@ -12,7 +12,7 @@ from rich.console import Console
 
 from knotgym.common import InvalidInput, InvalidPolicy, Stream, sha256
 from knotgym.control import PolicyConfig, RandomPolicy, rollouts
-from knotgym.datasets import episodes_of
+from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
@@ -122,7 +122,7 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     assert not kept & scored
     # learners that train online seed rope i with s + i: below any seed of an evaluation
     assert min(scored) > 2**32
-    played = episodes_of(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
+    played = Episodes.of(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
     assert played.episodes["seed"].tolist() == [
         Stream.EVALUATION_EPISODE.derived_seed(0, number) for number in range(2)
     ]

@@ -9,7 +9,7 @@ import pytest
 
 from knotgym.common import InvalidFile, InvalidInput, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
-from knotgym.datasets import Episodes, differences, episodes_of
+from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.generate.episodes.recordings import (
@@ -44,11 +44,11 @@ def path(tmp_path_factory: pytest.TempPathFactory, played: Episodes) -> Path:
 
 
 def test_a_replay_gives_the_same_arrays(played: Episodes, path: Path) -> None:
-    again = episodes_of(replay(CONFIG, range(3), path))
-    assert differences(played, again) == []
+    again = Episodes.of(replay(CONFIG, range(3), path))
+    assert played.differences(again) == []
     assert first_difference(again, recordings(path)[CONFIG.dataset_id]) is None
-    part = episodes_of(replay(CONFIG, range(1, 3), path))
-    assert differences(played.select([1, 2]), part) == []
+    part = Episodes.of(replay(CONFIG, range(1, 3), path))
+    assert played.select([1, 2]).differences(part) == []
 
 
 def test_the_same_recordings_give_the_same_bytes(

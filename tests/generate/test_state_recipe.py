@@ -13,7 +13,7 @@ import pytest
 
 from knotgym.common import Failed, InvalidInput, Stream
 from knotgym.control import replay
-from knotgym.datasets import folder_faults, merged, open_episodes
+from knotgym.datasets import Episodes, folder_faults, open_episodes
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
 from knotgym.generate.states.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
@@ -229,7 +229,9 @@ def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_count
     drawn: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     states, tried = states_in(drawn), list[tuple[int, list[int]]]()
-    whole = merged([open_episodes(path).episodes for path in drawn.glob("minari/**/episodes.h5")])
+    whole = Episodes.merged(
+        [open_episodes(path).episodes for path in drawn.glob("minari/**/episodes.h5")]
+    )
 
     def stub(task: Any, seed: int, goals: list[int], attempt: int) -> Result:
         tried.append((attempt, goals))

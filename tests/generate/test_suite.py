@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
-from knotgym.datasets import FILE, Episodes, differences, distinct, open_episodes, write_episodes
+from knotgym.datasets import FILE, Episodes, open_episodes, write_episodes
 from knotgym.generate.episodes import suite as module
 from knotgym.generate.episodes.collect import run_facts
 from knotgym.generate.episodes.suite import SETUPS, describe_set, make_suite
@@ -77,7 +77,7 @@ def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path
     assert set(episodes.episodes["policy"].tolist()) == {"expert"}
     page = (made / "knotgym" / "README.md").read_text()
     assert all(f"`{name}`" in page for name in sets) and "## Protocol" in page
-    own = distinct(episodes.episodes)
+    own = episodes.distinct()
     assert {name: expert[name] for name in own} == own and "| starts | goals | pairs |" in page
 
 
@@ -115,7 +115,7 @@ def test_finished_sets_are_kept_and_the_missing_ones_made(made: Path, tmp_path: 
     make_suite(PART, tmp_path, RESUME)
     for name in card(made)["sets"]:
         one, other = (open_episodes(out / name) for out in (made, tmp_path))
-        assert differences(one.episodes, other.episodes) == []
+        assert one.episodes.differences(other.episodes) == []
         assert run_facts(made / name)["config"] == run_facts(tmp_path / name)["config"]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from knotgym.common import InvalidInput, InvalidPolicy, Stream
 from knotgym.control import PolicyConfig, make_policy, pass_values, rollouts, see
-from knotgym.datasets import Episodes, differences
+from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.learn.train_config import CloneConfig
 from knotgym.rope import ChainSimulation, WaypointFollower
@@ -29,7 +29,7 @@ pytest.importorskip("safetensors")
 def test_its_episodes_do_not_depend_on_the_lanes_beside_them(clone: Path) -> None:
     policy = make_policy(PolicyConfig(policy=str(clone)))
     one, other = (rollouts(policy, TASK, range(5), lanes=lanes) for lanes in (5, 2))
-    assert differences(one, other) == []
+    assert one.differences(other) == []
     starts = np.flatnonzero(one.steps["macro_start"])
     assert len(starts) >= 5 and (np.abs(one.steps["macro_side"][starts]) == 1).all()
 

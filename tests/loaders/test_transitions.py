@@ -13,7 +13,7 @@ import pytest
 from synthetic_episodes import BEADS, TASK, TINY, episodes, written
 
 from knotgym.common import InvalidFile, InvalidInput, Occupied, Table
-from knotgym.datasets import STEPS, Episodes, goals_reached, open_episodes
+from knotgym.datasets import STEPS, Episodes, open_episodes
 from knotgym.envs import KnotEnv
 from knotgym.loaders import (
     Sequences,
@@ -96,7 +96,7 @@ def test_apart_gives_halves(made: Episodes, path: Path) -> None:
 
 
 def test_hindsight_cuts_at_every_code_that_was_reached(made: Episodes, path: Path) -> None:
-    held, at = arrays(path, relabel="all"), goals_reached(made)
+    held, at = arrays(path, relabel="all"), made.goals_reached()
     assert len(held["rewards"]) == at.step.sum()
     ends = np.cumsum(at.step) - 1
     assert np.flatnonzero(held["terminals"]).tolist() == ends.tolist()

@@ -16,7 +16,7 @@ from knotgym.control import (
     rollouts,
     verify,
 )
-from knotgym.datasets import Episodes, merged, write_episodes
+from knotgym.datasets import Episodes, write_episodes
 from knotgym.envs import EpisodeBatch, KnotEnv, TaskConfig
 from knotgym.rope.towing import TowBound, centres, distances_towed
 
@@ -88,7 +88,7 @@ def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:
 def test_a_dataset_with_a_bound_is_verified(states_path: str, tmp_path: Path) -> None:
     task = bounded(states_path, horizon=12)
     both = [rollouts(policy, task, range(2)) for policy in (RandomPolicy(), constant())]
-    write_episodes(tmp_path / "own.h5", [merged(both)], task)
+    write_episodes(tmp_path / "own.h5", [Episodes.merged(both)], task)
     shutil.copy(states_path, tmp_path / "states.h5")
     assert verify(tmp_path / "own.h5") == []
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common import sha256
-from knotgym.datasets.cards.citation import BIBTEX, write_text
+from knotgym.datasets.cards import BIBTEX, write_text
 from knotgym.datasets.image_table import arrow
 
 _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "double": "sc:Float"}

@@ -1,1 +1,155 @@
-"""Export datasets to other formats: compact, LeRobot, OGBench, Hugging Face, Minari."""
+"""Formats that datasets can be exported to: one record each, from which help and docs follow.
+
+A new format is a function `(source, target, replay) -> summary` and a record in EXPORTS.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from knotgym.common import InvalidInput, atomic_write, require_output
+
+if TYPE_CHECKING:
+    from knotgym.datasets.episode_verification import Replay
+    from knotgym.datasets.located import Located
+
+_HERE = "knotgym.datasets.exports"
+
+
+class Export(NamedTuple):
+    """A format.
+
+    Attributes:
+        says: what it is, for the help.
+        function: its function, or "module:name" of it, which is imported on use. It gets the
+            datasets, the target and a way to play recordings again, and returns a one-line summary.
+        needs: "episodes" or "pictures" if it takes no others.
+        output: "file" for one dataset a file, else a folder; "folder", which exists when the
+            function is called; or "beside" if it adds files to a folder by itself, which it does in
+            one go, and is also told whether to replace any.
+        extra: the extra of the package that it needs.
+    """
+
+    says: str
+    function: Callable[..., str] | str
+    needs: Literal["episodes", "pictures", ""] = "episodes"
+    output: Literal["file", "folder", "beside"] = "folder"
+    extra: str = ""
+
+
+def _write_files(
+    source: "Located", target: Path, replay: "Replay", *, whole: bool = True, pack: bool = True
+) -> str:
+    """Write a file of episodes, or several into a folder.
+
+    Args:
+        source: the datasets.
+        target: the file or folder.
+        replay: plays recordings again.
+        whole: with all columns; otherwise starts and pulls alone.
+        pack: compressed.
+    """
+    from knotgym.datasets.episode_dataset import open_episodes, write_episodes
+    from knotgym.datasets.episode_verification import expanded
+
+    datasets, size = [open_episodes(path) for path in source.episodes], 0
+    for path, one in zip(source.episodes, datasets, strict=True):
+        kept = {name: one.attributes[name] for name in {"expansion"} & one.attributes.keys()}
+        if not whole:
+            one = replace(one, episodes=one.episodes.recording())
+        elif one.episodes.is_recording:
+            one = expanded(one, replay)
+        # named by the end of its id, such as tie-nx3-demonstrations-v0
+        name = f"{'-'.join(path.with_suffix('').parts[-2:])}.h5"
+        file = target / name if target.is_dir() else target
+        write_episodes(file, [one.episodes], one.task, {**one.facts, **kept}, pack=pack)
+        size += file.stat().st_size
+    episodes = sum(one.episodes.episodes.rows for one in datasets)
+    files = f" in {len(datasets)} files" if target.is_dir() else ""
+    return f"{episodes} episodes{files}, {size / 1e6:.1f} MB"
+
+
+_PARQUET = "huggingface"  # the extra
+EXPORTS = {
+    "compact": Export("one compressed file without pictures", _write_files, output="file"),
+    "columns": Export(
+        "the same uncompressed, for loaders to map",
+        partial(_write_files, pack=False),
+        output="file",
+    ),
+    "recording": Export(
+        "starts and pulls alone", partial(_write_files, whole=False), output="file"
+    ),
+    "ogbench": Export(
+        "data files for OGBench's agents", f"{_HERE}.ogbench_export:to_ogbench", output="beside"
+    ),
+    "minari": Export("a Minari root, ready to upload", f"{_HERE}.minari_export:to_minari"),
+    "huggingface": Export(
+        "Parquet files with a card, ready to upload",
+        f"{_HERE}.huggingface_export:to_huggingface",
+        needs="",
+        extra=_PARQUET,
+    ),
+    "coco": Export(
+        "photos with boxes, masks and keypoints",
+        f"{_HERE}.picture_exports:to_coco",
+        needs="pictures",
+        extra=_PARQUET,
+    ),
+    "webdataset": Export(
+        "pictures as tar files",
+        f"{_HERE}.picture_exports:to_webdataset",
+        needs="pictures",
+        extra=_PARQUET,
+    ),
+}
+
+
+def export_help() -> str:
+    """Return the formats in words, for the help of `knotgym dataset export`."""
+
+    says = {
+        name: one.says + (f"; extra {one.extra}" if one.extra else "")
+        for name, one in EXPORTS.items()
+    }
+    return f"Format: {', '.join(f'{name} ({text})' for name, text in says.items())}."
+
+
+def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: bool = False) -> str:
+    """Export a dataset to another format; return a one-line summary.
+
+    Args:
+        named: a path or an id.
+        out: a file for one dataset if the format's output is one; otherwise a folder.
+        form: the format, one of EXPORTS.
+        replay: plays recordings again, `control.replay`.
+        overwrite: replace what is there.
+
+    Raises:
+        InvalidInput: there is no such format, or it has no place for this kind of dataset.
+        Occupied: the output exists, and `overwrite` is False.
+    """
+    from knotgym.datasets.located import locate, refuse_minaris_folder
+
+    if form not in EXPORTS:
+        raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTS)}")
+    chosen, given = EXPORTS[form], locate(named)
+    is_file = chosen.output == "file" and len(given.episodes) < 2
+    if chosen.output == "file":
+        refuse_minaris_folder(out)
+    if chosen.output != "beside":
+        require_output(out, folder=not is_file, overwrite=overwrite, reads=[given.root])
+    if chosen.needs and not getattr(given, chosen.needs):
+        raise InvalidInput(f"{given.title} contains no {chosen.needs}")
+    write = chosen.function
+    if isinstance(write, str):
+        write = resolve_name(write)
+    if chosen.output == "beside":
+        return write(given, out, replay, overwrite)
+    with atomic_write(out, overwrite=overwrite) as target:
+        if not is_file:
+            target.mkdir()
+        return write(given, target, replay)

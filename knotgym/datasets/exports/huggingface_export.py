@@ -9,34 +9,63 @@
 Load it with `load_dataset(FOLDER, "steps")`. Floats keep their full precision, but only the Minari
 dataset (`--to minari`) has everything that is needed to replay an episode. A folder of pictures is
 ready to upload as it is: it has its card and Parquet files already.
+
+Arrays are stored flat, in C order. Column names have an underscore where the state file has a
+slash.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import InvalidInput, Table
-from knotgym.datasets.cards.citation import (
+from knotgym.common import Column, InvalidInput, Schema, Table
+from knotgym.datasets.cards import (
     citation_file,
-    filled,
+    filled_template,
+    in_words,
     plain,
+    table,
     write_text,
     yaml_string,
 )
 from knotgym.datasets.cards.croissant import write_croissant
-from knotgym.datasets.cards.fact_tables import in_words, table
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay, show_episodes
-from knotgym.datasets.exports.parquet_tables import rows_of_steps, step_tables, write_parquet
+from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
 from knotgym.datasets.gallery import episode_tiles, state_tiles, write_gallery
-from knotgym.datasets.image_table import arrow
+from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 from knotgym.datasets.located import Located
 from knotgym.states import STATE_SPLITS, read_states
 
 _OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't exported
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
+_AT_ONCE = 256  # episodes converted at once
+_PNG_LEVEL = 6  # level 9 takes four times as long, for a twentieth less
+_TEXTS = (
+    Column("dataset", "text", (), "", "id of the dataset"),
+    Column("policy", "text", (), "", "that acted"),
+    Column("gauss_code", "text", (), "", "Gauss code of the state"),
+    Column("gauss_code_chiral", "text", (), "", "the same with chirality"),
+    Column("goal_gauss_code", "text", (), "", "Gauss code to reach"),
+)
+_PLACES = (
+    Column("episode", "int64", (), "", "number of the episode in its dataset"),
+    Column("step", "int64", (), "", "number of the state in its episode"),
+    Column("is_last", "bool", (), "", "the episode's last state, which has no action"),
+    Column("is_success", "bool", (), "", "the goal has been shown for long enough"),
+    Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),
+)
+_IMAGE = Column("image", "uint8", ("height", "width", 3), "", "what the environment shows", True)
+_KEPT = tuple(
+    column._replace(name="points") if column.name == "observation" else column
+    for column in STEPS.columns
+    if column.name not in ("visits", "signs")
+)
+ROWS_OF_STEPS = Schema("steps", (*_TEXTS, *_PLACES, *_KEPT, _IMAGE))
 
 
 def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
@@ -129,7 +158,7 @@ def _card(
         tables += ["", f"## {config}", "", *table(("split", "rows"), splits.items()), ""]
         tables.append(pages[config])
     total = sum(sum(splits.values()) for splits in rows.values())
-    return filled(
+    return filled_template(
         "huggingface_card.md",
         pretty_name=yaml_string(title),
         size=next((name for most, name in _SIZES if total < most), "1M<n<10M"),
@@ -141,3 +170,86 @@ def _card(
         first=next(iter(rows)),
         tables=tables[1:],
     )
+
+
+def rows_of_steps(datasets: Iterable[EpisodeDataset], pictures: bool) -> Schema:
+    """Return the columns of a file of these datasets: optional ones if any of them has them."""
+    stored = {name for one in datasets for name in one.episodes.steps}
+    lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
+    return ROWS_OF_STEPS.without(*lacking, *([] if pictures else ["image"]))
+
+
+def step_tables(dataset: EpisodeDataset, schema: Schema) -> Iterator[Table]:
+    """Yield a dataset's states, one row each, in tables of some episodes.
+
+    Args:
+        dataset: columns.
+        schema: `rows_of_steps`; optional columns that the dataset lacks hold `Column.unknown`.
+    """
+    pictures = any(column.name == "image" for column in schema.columns)
+    for first in range(0, dataset.episodes.episodes.rows, _AT_ONCE):
+        last = min(first + _AT_ONCE, dataset.episodes.episodes.rows)
+        yield _step_table(dataset.select(np.arange(first, last)), first, pictures).filled(schema)
+
+
+def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
+    (own, steps), episode = part.episodes, part.episodes.episode_of()
+    is_last = np.zeros(steps.rows, dtype=bool)
+    is_last[part.episodes.last()] = True
+    columns: dict[str, NDArray[Any]] = {
+        **steps,
+        "points": steps["observation"],
+        "dataset": np.full(steps.rows, part.name),
+        "policy": own["policy"][episode],
+        "gauss_code": gauss_codes(steps["visits"]),
+        "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
+        "goal_gauss_code": gauss_codes(own["goal_visits"])[episode],
+        "episode": number + episode,
+        "step": ranges(np.zeros_like(own["length"]), own["length"] + 1),
+        "is_last": is_last,
+        "is_success": part.episodes.goal_reached(part.task),
+        "goal_points": own["goal_points"][episode],
+    }
+    if pictures:
+        from knotgym.envs import alone, looks, picture_config, pixels
+
+        picture, ropes = picture_config(part.task), own["goal_points"].astype(np.float64)
+        shown = looks(part.task, zip(own["goal"].tolist(), ropes, strict=True))
+        goals = alone(ropes, shown, picture)
+        points = steps["observation"].astype(np.float64)
+        each, look = [goals[k] for k in episode], [shown[k] for k in episode]
+        columns["image"] = pixels(points, each, picture, looks=look)[..., :3]
+    return Table(ROWS_OF_STEPS, columns)
+
+
+def write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
+    """Append tables of equal columns to one file; return its rows and a page of its columns."""
+    parquet, writer, rows, page = arrow("pyarrow.parquet"), None, 0, ""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        for table in tables:
+            made = _arrow_table(table)
+            if writer is None:
+                writer = parquet.ParquetWriter(path, made.schema, compression="zstd")
+                page = table.schema.page()
+            writer.write_table(made, row_group_size=1000)
+            rows += table.rows
+    finally:
+        if writer is not None:
+            writer.close()
+    return rows, page
+
+
+def _arrow_table(table: Table) -> Any:
+    """Convert a table; its metadata say where Hugging Face finds pictures."""
+    pa, columns = arrow(), dict[str, Any]()
+    for name, values in table.items():
+        flat = np.ascontiguousarray(values).reshape(len(values), -1)
+        if name == "image":
+            column = picture_column(encode(one, _PNG_LEVEL) for one in values)
+        elif values.ndim > 1:
+            column = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
+        else:
+            column = pa.array(values.tolist() if values.dtype.kind == "U" else values)
+        columns[name.replace("/", "_")] = column
+    return pa.table(columns, metadata=shown("image") if "image" in columns else None)

@@ -12,11 +12,9 @@ import json
 from pathlib import Path
 
 from knotgym.common import InvalidInput, copy_file
-from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
-from knotgym.datasets.cards.fact_tables import table
+from knotgym.datasets.cards import citation_file, filled_template, plain, table, write_text
 from knotgym.datasets.episode_dataset import FILE, columns_of, episode_file
 from knotgym.datasets.episode_verification import Replay
-from knotgym.datasets.episodes import distinct
 from knotgym.datasets.gallery import episode_tiles, write_gallery
 from knotgym.datasets.located import Located
 from knotgym.datasets.minari_form import METADATA, dataset_files, metadata_of, write_minari
@@ -44,7 +42,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
         name, own = metadata.dataset_id, opened.episodes.episodes
         if name in sources:
             raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
-        steps, counts = int(own["length"].sum()), distinct(own).values()
+        steps, counts = int(own["length"].sum()), opened.episodes.distinct().values()
         entries[name] = (own.rows, steps, *counts, metadata.algorithm_name)
         sources[name] = data
     words = {name.partition("/")[0] for name in sources}
@@ -71,7 +69,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
 
 def _card(repository: str, entries: dict[str, tuple[object, ...]]) -> str:
     rows = [tuple(map(plain, (name, *entry))) for name, entry in sorted(entries.items())]
-    return filled(
+    return filled_template(
         "minari_card.md",
         repository=plain(repository),
         first=json.dumps(rows[0][0]),

@@ -1,1 +1,304 @@
-"""A self-contained HTML page for browsing a dataset offline."""
+"""The page of a dataset: template, style, scripts and data in one HTML file, without the network.
+
+The data are an escaped JSON block that can't contain markup; the script shows them as text only.
+Vertices are int16 in base64.
+
+Ropes are centred at the origin, as in the pictures, in units of 0.1 mm. Large datasets are sampled
+evenly, and the page says so.
+"""
+
+import base64
+import html
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common import InvalidFile, InvalidInput, as_json
+from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.datasets.episodes import gauss_codes
+from knotgym.datasets.image_table import GRADES, points_of, read_table, shards, stored_columns
+from knotgym.datasets.located import Located
+from knotgym.datasets.manifest import read_manifest
+from knotgym.quality import UNITS
+from knotgym.rendering import bead_colours
+from knotgym.rope import Array, RopeConfig
+from knotgym.states import read_states
+from knotgym.topology import find_crossings
+
+_UNIT = 1e-4  # metres
+MOST_STATES = 1500  # about 1.3 kB each
+MOST_PICTURES = 400  # about 8 kB more each
+MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
+MOST_STEPS = 1000  # steps of one episode
+_SHOWN = ("nx", "gauss_code", "gauss_code_chiral", "split", "knot")
+_LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
+_SCRIPTS = ("rope.js", "plots.js", "page.js")
+
+
+def write_page(path: Path, found: Located) -> str:
+    """Write the page of datasets; return a one-line summary."""
+    data = page_data(found.title, found)
+    path.write_text(page_html(data), encoding="utf-8")
+    return " ".join([f"{data['says']}, {path.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
+
+
+def page_data(title: str, given: Located) -> dict[str, Any]:
+    """Collect everything that the page of datasets shows; the result can be written as JSON.
+
+    The manifest of a run beside its states is shown too.
+
+    Raises:
+        InvalidInput: there are no rows.
+    """
+    rope, notices, about = RopeConfig(), list[str](), dict[str, Any]()
+    data: dict[str, Any] = {
+        **{name: [] for name in ("measures", "words", "states", "episodes")},
+        **{"title": title, "unit": _UNIT, "points": "", "rejected": {}, "notices": notices},
+        **{"grades": GRADES, "called": "pictures" if given.pictures else "states"},
+        **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
+    }
+    if given.episodes:
+        data |= _episodes(given.episodes, notices, about)
+    if given.states is not None:
+        found = _states(given.states, notices, about)
+        if given.episodes and found["beads"] != data["beads"]:
+            raise InvalidInput(
+                f"{title} has states of {found['beads']} beads and episodes of {data['beads']};"
+                " show one of them"
+            )
+        data |= found
+    if given.pictures is not None:
+        data |= _pictures(given.pictures, notices, about)
+    data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
+    data["about"] = [[name, _cut(value)] for name, value in about.items() if value]
+    counts = [
+        (len(data["states"]), data["called"].removesuffix("s")),
+        (len(data["episodes"]), "episode"),
+    ]
+    contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
+    if not contents:
+        raise InvalidInput(f"{title} has no rows, so there is nothing to show")
+    return {**data, "says": ", ".join(contents)}
+
+
+def page_html(data: Mapping[str, Any]) -> str:
+    """Return the page of the result of `page_data`."""
+    script = "\n".join(_part(name) for name in _SCRIPTS)
+    start = 'const DATA = JSON.parse(document.getElementById("data").textContent);'
+    return Template(_part("page.html")).substitute(
+        title=html.escape(str(data["title"])),
+        style=_part("page.css"),
+        data=_as_text(data),
+        script=f'(() => {{\n"use strict";\n{start}\n{script}\n}})();',
+    )
+
+
+def _as_text(data: Mapping[str, Any]) -> str:
+    """Serialize to JSON without characters that are special in HTML."""
+    try:
+        text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    except ValueError as error:
+        raise InvalidFile(f"{data['title']} holds numbers that aren't finite") from error
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _part(name: str) -> str:
+    return (files("knotgym.datasets.page") / name).read_text(encoding="utf-8")
+
+
+def _sampled(count: int, most: int) -> list[int]:
+    """Choose up to `most` of `count` rows, evenly spaced.
+
+    >>> _sampled(5, 3), _sampled(2, 3)
+    ([0, 2, 4], [0, 1])
+    """
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+
+
+def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
+    """Collect a state file and the report of the run in the manifest beside it."""
+    states = read_states(file, images=False)
+    report = read_manifest(file.parent)[0].get("report", {})
+    rows = _sampled(len(states), MOST_STATES)
+    _notice(notices, rows, len(states), "states")
+    measures = {
+        name: (unit, own[rows])
+        for name, (unit, own) in states.measures.items()
+        if np.isfinite(own).any()
+    }
+    found = _shapes(rows, states.take(rows).table, measures)
+    made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
+    for name, column in made.items() if "dataset" in states.source else ():
+        for shown, value in zip(found["states"], states.source[column][rows].tolist(), strict=True):
+            shown[name] = value
+    about |= {
+        "states": len(states),
+        "drawings made": report.get("attempts"),
+        **_versions(states.attributes),
+        "configuration": states.attributes.get("config"),
+    }
+    rejected = {nx: counts for nx, counts in report.get("rejected", {}).items() if counts}
+    return {**found, "beads": states.points.shape[1], "rejected": rejected}
+
+
+def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
+    """Collect a perception table: states with their pictures."""
+    stored = stored_columns(shards(source)[0])
+    labels = ["crossings", *(name for name in ("line", "strands") if name in stored)]
+    table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image", *labels])
+    rows = _sampled(len(table), MOST_PICTURES)
+    _notice(notices, rows, len(table), "pictures")
+    taken = table.take(rows)
+    columns = {name: taken[name].to_pylist() for name in _SHOWN}
+    measured = taken["quality"].to_pylist()
+    quality = {
+        name: (UNITS.get(name, ""), [one[name] for one in measured])
+        for name in (measured or [{}])[0]
+    }
+    found = _shapes(rows, {**columns, "points": points_of(taken)}, quality)
+    for shown, row in zip(
+        found["states"], taken.select(["grade", "image", *labels]).to_pylist(), strict=True
+    ):
+        shown |= {"grade": row["grade"], "image": _picture(row["image"])}
+        shown["at"] = [[_number(one["x"]), _number(one["y"])] for one in row["crossings"]]
+        if "line" in row:  # x, y and depth of each bead
+            line = np.reshape(row["line"], (-1, 3))[:, :2].ravel()
+            shown |= {"line": [_number(n) for n in line], "masks": _picture(row["strands"])}
+    about |= {"pictures": len(table), "configuration": read_manifest(source)[0].get("config")}
+    return {**found, "words": ["grade"]}
+
+
+def _shapes(
+    rows: Sequence[int], columns: Mapping[str, Any], measures: Mapping[str, tuple[str, Any]]
+) -> dict[str, Any]:
+    """Return what states and pictures have in common, of the rows with these numbers."""
+    points = columns["points"]
+    return {
+        "measures": [{"name": name, "unit": unit} for name, (unit, _) in measures.items()],
+        "points": _encoded(points),
+        "states": [
+            {
+                "row": number,
+                "nx": int(columns["nx"][k]),
+                "code": str(columns["gauss_code_chiral"][k]),
+                "plain": str(columns["gauss_code"][k]),
+                "split": str(columns["split"][k]),
+                "knot": str(columns["knot"][k]),
+                "q": [_number(values[k]) for _, values in measures.values()],
+                "x": _crossings(points[k]),
+            }
+            for k, number in enumerate(rows)
+        ],
+    }
+
+
+def _episodes(sources: Sequence[Path], notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
+    """Collect episodes of datasets, sampled so that they have at most MOST_FRAMES states."""
+    datasets = [columns_of(source) for source in sources]
+    every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
+    lengths = np.concatenate([one.episodes.episodes["length"] for one in datasets]).tolist()
+    frames = [min(length, MOST_STEPS) + 1 for length in lengths]
+    rows = _sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
+    # episodes differ in length, so the first guess may be too many
+    while len(rows) > 1 and sum(frames[k] for k in rows) > MOST_FRAMES:
+        rows = _sampled(len(every), len(rows) - 1)
+    _notice(notices, rows, len(every), "episodes")
+    if any(lengths[k] > MOST_STEPS for k in rows):
+        notices.append(f"Longer episodes show their first {MOST_STEPS} steps.")
+    about |= {
+        "task": as_json(datasets[0].task),
+        "datasets": ", ".join(dict.fromkeys(one.name for one in datasets)),
+        "episodes": len(every),
+        "steps": sum(lengths),
+        **_versions(datasets[0].attributes.get("versions") or {}),
+    }
+    return {"episodes": [_episode(*every[k]) for k in rows], "beads": datasets[0].task.beads}
+
+
+def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
+    (own, steps), first = dataset.episodes, int(dataset.episodes.offsets[row])
+    count = min(int(own["length"][row]), MOST_STEPS) + 1
+    pulls, states = slice(first, first + count - 1), slice(first, first + count)
+    codes, code = _indexed(gauss_codes(steps["visits"][states]))
+    chiral, code_chiral = _indexed(gauss_codes(steps["visits"][states], steps["signs"][states]))
+    share = steps["applied_fraction"][pulls].astype(float)
+    force = share[:, None] * steps["force"][pulls] * dataset.task.rope_config.max_force
+    points = steps["observation"][states].astype(np.float64)
+    goal = own["goal_points"][row].astype(np.float64)
+    return {
+        "set": dataset.name,
+        "name": dataset.name.removeprefix("knotgym/"),
+        "number": row,
+        "policy": str(own["policy"][row]),
+        "goal": str(gauss_codes(own["goal_visits"][row : row + 1])[0]),
+        "split": dataset.task.split,
+        "success": bool(own["success"][row]),
+        # as text: a seed can exceed the 53 bits of a JavaScript number
+        "seed": "" if own["seed"][row] < 0 else str(own["seed"][row]),
+        "points": _encoded(points),
+        "goal_points": _encoded(goal[None]),
+        "goal_x": _crossings(goal),
+        "codes": codes,
+        "code": code,
+        "chiral": chiral,
+        "code_chiral": code_chiral,
+        "x": [_crossings(one) for one in points],
+        "bead": [-1, *steps["bead"][pulls].tolist()],
+        "force": [[0.0] * 3, *([round(float(n), 4) for n in one] for one in force)],
+        "applied_share": [1.0, *share.tolist()],
+        "rewards": [_number(reward) for reward in steps["reward"][pulls]],
+    }
+
+
+def _indexed(codes: NDArray[np.str_]) -> tuple[list[str], list[int]]:
+    """Return the distinct codes, in order of first appearance, and the index of each state's."""
+    known: dict[str, int] = {}
+    rows = [known.setdefault(str(code), len(known)) for code in codes]
+    return list(known), rows
+
+
+def _crossings(points: Array) -> list[list[float]]:
+    """Return over position and under position (in beads) and sign of each crossing."""
+    found = find_crossings(points)
+    return [
+        [round(float(over), 2), round(float(under), 2), int(sign)]
+        for over, under, sign in zip(found.over_place, found.under_place, found.sign, strict=True)
+    ]
+
+
+def _encoded(points: Array) -> str:
+    """Encode ropes (n, beads, 3), centred at the origin, as little-endian int16 of _UNIT metres."""
+    if not np.isfinite(points).all():
+        raise InvalidFile("a vertex of a rope to show isn't finite")
+    laid = (points - points.mean(axis=1, keepdims=True)) / _UNIT
+    limits = np.iinfo(np.int16)
+    whole = np.rint(laid).clip(limits.min, limits.max).astype("<i2")
+    return base64.b64encode(whole.tobytes()).decode("ascii")
+
+
+def _picture(stored: Mapping[str, bytes]) -> str:
+    return f"data:image/png;base64,{base64.b64encode(stored['bytes']).decode('ascii')}"
+
+
+def _notice(notices: list[str], rows: Sequence[int], count: int, what: str) -> None:
+    if len(rows) < count:
+        notices.append(f"Showing {len(rows)} of {count} {what}, evenly sampled.")
+
+
+def _number(value: Any) -> float | None:
+    return float(f"{value:.4g}") if np.isfinite(value) else None
+
+
+def _versions(attributes: Mapping[str, Any]) -> dict[str, str]:
+    return {name: str(attributes[name]) for name in ("knotgym", "mujoco") if name in attributes}
+
+
+def _cut(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) < _LONGEST_TEXT else text[:_LONGEST_TEXT] + " ..."

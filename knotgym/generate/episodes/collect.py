@@ -32,9 +32,7 @@ from knotgym.datasets import (
     STEPS,
     Episodes,
     MinariMetadata,
-    episodes_of,
     machine,
-    merged,
     open_episodes,
     publish,
 )
@@ -227,7 +225,7 @@ def _episodes_of(
             for few in blocks(coming, config.task, plans, played)
         ]
         played += coming
-        parts += [episodes_of(result) for result in results]
+        parts += [Episodes.of(result) for result in results]
         steps = sum(int(part.episodes["length"].sum()) for part in parts)
     if config.steps:
         parts = _first_steps(parts, config.steps)
@@ -272,7 +270,9 @@ def _publish(
     Raises:
         InvalidInput: no episode is left to keep.
     """
-    total = _total(merged([part.recording() for part in parts]).episodes, config.keep_failed)
+    total = _total(
+        Episodes.merged([part.recording() for part in parts]).episodes, config.keep_failed
+    )
     if not total["kept"]:
         raise InvalidInput(
             f"none of {total['played']} episodes reached the goal and failed ones are dropped, so"

@@ -42,7 +42,7 @@ from knotgym.common import (
     write_tables,
 )
 from knotgym.control import RecordedPolicy, rollouts
-from knotgym.datasets import PULLS, RECORDED, STEPS, Episodes, episodes_of, merged
+from knotgym.datasets import PULLS, RECORDED, STEPS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
@@ -171,7 +171,7 @@ def replayed(entry: Entry, each: Map = map) -> Iterator[tuple[TaskConfig, Episod
             " states"
             for k in np.flatnonzero(wrong).tolist()
         ]
-        yield task, merged([episodes_of(one) for one in made]), faults
+        yield task, Episodes.merged([Episodes.of(one) for one in made]), faults
         first += entry.config.episodes
 
 

@@ -72,10 +72,10 @@ class CollectConfig:
 
     def played(self, numbers: range, seed: int) -> Episodes:
         """Play some of the episodes that a collection with this seed has, by their numbers."""
-        from knotgym.datasets import episodes_of
+        from knotgym.datasets import Episodes
         from knotgym.generate.episodes.collect import play  # which imports this module
 
-        return episodes_of(play(replace(self, seed=seed), numbers))
+        return Episodes.of(play(replace(self, seed=seed), numbers))
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, Occupied, Stream, Table, atomic_write, require_output
 from knotgym.control import PolicyConfig, make_policy, rollouts, training_card
-from knotgym.datasets import STEPS, Episodes, episodes_of, goal_reached, merged
+from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.entries import write_entry
@@ -84,9 +84,9 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
         for setup, one in enumerate(setups, 1)
         if filmed
     ]
-    parts = [episodes_of(part) for part in (yield [*calls, *films])]
+    parts = [Episodes.of(part) for part in (yield [*calls, *films])]
     rest = iter(parts)
-    played = [merged([*islice(rest, len(own))]) for own in numbers]
+    played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
     results = [
         result_of(
             policy.policy, make_policy(policy).compatible_task(task).action, task, one.episodes
@@ -303,7 +303,7 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
         own["goal_points"][0].astype(np.float64),
         [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
         list(pulls),
-        goal_reached(one, task),
+        one.goal_reached(task),
         task.views,
     )
 

@@ -29,10 +29,8 @@ from knotgym.common import (
 )
 from knotgym.datasets import (
     code_span,
-    content_digest,
-    distinct,
-    expansion_digest,
-    filled,
+    digests_of,
+    filled_template,
     open_episodes,
     plain,
     table,
@@ -158,14 +156,14 @@ def describe_set(made: Path) -> dict[str, Any]:
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
-    recording = recordings().get(dataset.name)
+    recording, digests = recordings().get(dataset.name), digests_of([episodes])
     agreement = "no"
     if recording is not None:
         first = first_difference(episodes, recording)
         agreement = "same" if first is None else f"differs from episode {first}"
         # what stepping gave besides, such as rewards: its digest was written with it
         told = dataset.attributes.get("expansion")
-        if agreement == "same" and told not in (None, expansion_digest([episodes])):
+        if agreement == "same" and told not in (None, digests.get("expansion")):
             agreement = "differs from its own digest: knotgym dataset verify says where"
     files = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
@@ -176,9 +174,9 @@ def describe_set(made: Path) -> dict[str, Any]:
         "episodes": rows.rows,
         "succeeded": int(rows["success"].sum()),
         "steps": int(rows["length"].sum()),
-        **distinct(rows),
+        **episodes.distinct(),
         "bytes": sum(file.stat().st_size for file in files),
-        "sha256": content_digest(episodes),
+        "sha256": digests["digest"],
         "versions": versions,
         "recorded": agreement,
     }
@@ -216,7 +214,7 @@ def _card_of(report: Mapping[str, Any]) -> str:
         for measured, protocol in reference_scores().items()
         for setup, one in protocol["cells"].items()
     ]
-    return filled(
+    return filled_template(
         "suite_card.md",
         count=len(sets),
         episodes=sum(one["episodes"] for one in sets.values()),

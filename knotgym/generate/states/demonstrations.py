@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Stream, Table
 from knotgym.control import PassPlanner, PassPlannerConfig, Policy, PullPlanner, rollouts
-from knotgym.datasets import STARTS, Episodes, MinariMetadata, episodes_of, merged, publish
+from knotgym.datasets import STARTS, Episodes, MinariMetadata, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.drawing_source import CALLS, drawn_rows, splits_of
 from knotgym.generate.states.generate_config import GenerateConfig
@@ -125,13 +125,13 @@ def demonstrated(
             for part in np.array_split(rows, -(-len(rows) // size))
         ]
         for result in (yield calls):
-            episodes = episodes_of(result)
+            episodes = Episodes.of(result)
             for k, goal in enumerate(episodes.episodes["goal"].tolist()):
                 made.setdefault(goal, episodes.select([k]))
         goals = {kind: [k for k in rows if k not in made] for kind, rows in goals.items()}
         attempt = after
     return [
-        Demonstrated(nx, split, merged([made[row] for row in rows]))
+        Demonstrated(nx, split, Episodes.merged([made[row] for row in rows]))
         for nx in config.nx
         for split in STATE_SPLITS
         if (rows := [row for row in states.rows(nx, split).tolist() if row in made])

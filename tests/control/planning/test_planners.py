@@ -7,7 +7,6 @@ from knotgym.control.planning import PassPlanner, PullPlanner
 from knotgym.control.planning.pass_policies import Play
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
 from knotgym.control.sampler import Policy, rollouts
-from knotgym.datasets import differences
 from knotgym.envs import EpisodeBatch, TaskConfig
 
 TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
@@ -48,7 +47,7 @@ def test_where_no_pass_is_found_pulls_are_planned() -> None:
     hopeless = PassPlanner(PassPlannerConfig(candidates=1, budget=1))
     found, alone = (rollouts(hopeless, TASK, range(4), lanes=lanes) for lanes in (4, 1))
     assert found.episodes["success"].all() and found.episodes["planner_steps"].mean() > 50
-    assert differences(found, alone) == []
+    assert found.differences(alone) == []
 
 
 def test_pulls_planned_one_by_one_are_labelled_as_part_of_no_pass() -> None:
