@@ -31,15 +31,7 @@ from knotgym.common import Stream
 from knotgym.control import RecordedPolicy, rollouts
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, evaluate, recordings
-from knotgym.rope import (
-    CHAIN,
-    MUJOCO,
-    ChainSimulation,
-    MujocoSimulation,
-    Rope,
-    RopeConfig,
-    Simulation,
-)
+from knotgym.rope import CHAIN, MUJOCO, ChainSimulation, Rope, RopeConfig, Simulation, simulation
 from knotgym.runs import RunOptions, wilson
 from knotgym.states import read_states, shipped
 from knotgym.topology import label_many
@@ -95,7 +87,7 @@ def apart(one: Array, other: Array) -> dict[str, float]:
 
 def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = read_states(shipped("random-walk"), images=False).qpos[: args.ropes]
-    engines = [MujocoSimulation(len(qpos)), ChainSimulation(len(qpos))]
+    engines = [simulation(MUJOCO, len(qpos)), ChainSimulation(len(qpos))]
     for engine in engines:
         engine.lay(qpos)
         timed(engine, pulls(len(qpos), 1, rng))
@@ -115,7 +107,7 @@ def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
 def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = starts(args.states, rng)
     actions = pulls(len(qpos), 4, rng)
-    truth = traced(MujocoSimulation(len(qpos)), qpos, actions)
+    truth = traced(simulation(MUJOCO, len(qpos)), qpos, actions)
     found = traced(ChainSimulation(len(qpos)), qpos, actions)
     same = [
         statistics.mean(a == b for a, b in zip(label_many(one), label_many(other), strict=True))

@@ -35,18 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed, InvalidInput
-from knotgym.rope import (
-    COUNTS,
-    ENGINES,
-    MUJOCO,
-    SCHEDULE,
-    STATE,
-    Array,
-    ChainSimulation,
-    Simulation,
-    advance,
-    physics_of,
-)
+from knotgym.rope import ENGINES, MUJOCO, Array, ChainSimulation, Simulation
 from knotgym.rope import simulation as simulation_of
 from knotgym.states import read_states, shipped
 from knotgym.topology import (
@@ -209,32 +198,27 @@ def changes_within(
 
     Args:
         simulation: the rope's.
-        state: of the rope before the action, float64 (1, beads * STATE).
+        state: of the rope before the action, as `Simulation.states` gives it.
         bead: that is pulled.
         force: float64 (3,), newtons.
     """
-    moved = state.reshape(1, -1, STATE).copy()
-    rope, counts = simulation.rope, np.zeros((1, len(COUNTS)), dtype=np.int64)
-    points = moved[..., :3].copy()
-    duration = rope.config.timestep * rope.config.frame_skip / sum(SCHEDULE)
+    moved = ChainSimulation(1, simulation.rope)
+    moved.restore(state)
     found: list[tuple[GaussCode, GaussCode]] = []
 
     def look(start: float, end: float, before: GaussCode, after: GaussCode) -> None:
         if end - start > (2**-11 if before == after else 1e-12):
             middle = (start + end) / 2
-            code = label(x + (moved[0, :, :3] - x) * middle)
+            code = label(x + (moved.points[0] - x) * middle)
             look(start, middle, before, code)
             look(middle, end, code, after)
         elif before != after:
             found.append((before, after))
 
-    for share in SCHEDULE:
-        x = moved[0, :, :3].copy()
-        pulled, stage = (np.array([bead]), force[None]), np.array([share])
-        taken = np.zeros(1, dtype=np.int64)
-        action = physics_of(rope), duration * share, stage
-        advance(moved, points, np.arange(1), *pulled, *action, counts, taken)
-        look(0.0, 1.0, label(x), label(points[0]))
+    for share in simulation.schedule:
+        x, moved.schedule = moved.points[0].copy(), (share,)
+        moved.step([bead], force[None])
+        look(0.0, 1.0, label(x), label(moved.points[0]))
     return found
 
 

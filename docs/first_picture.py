@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets import encode
 from knotgym.rendering import PictureConfig, crossing_pixels, draw, project
-from knotgym.rope import Array, MujocoSimulation, Rope
+from knotgym.rope import MUJOCO, Array, Rope, simulation
 from knotgym.topology import find_crossings
 
 PAGES = Path(__file__).parent
@@ -60,16 +60,16 @@ def example_rope() -> Array:
 
 def _pull(heading: str, bead: int, axis: int, view: str) -> Canvas:
     """Draw a rope before and after a pull, one above the other, and the action between them."""
-    simulation = MujocoSimulation(1)
-    before = simulation.points[0].copy()
-    force = np.eye(3)[axis] * simulation.rope.config.max_force
-    action = simulation.actions([bead], force[None])[0]
-    simulation.act(action[None])
+    ropes = simulation(MUJOCO)
+    before = ropes.points[0].copy()
+    force = np.eye(3)[axis] * ropes.rope.config.max_force
+    action = ropes.actions([bead], force[None])[0]
+    ropes.act(action[None])
     config = PictureConfig(size=_PANEL, views=(view,))
     right, up = _RIGHT_UP[view]
-    old, new = draw(before, config), _over(simulation.points[0], before, config, (right, up))
+    old, new = draw(before, config), _over(ropes.points[0], before, config, (right, up))
     start = _pixel(before[bead], before, config, (right, up))
-    toward = np.array([force[right], -force[up]]) / simulation.rope.config.max_force
+    toward = np.array([force[right], -force[up]]) / ropes.rope.config.max_force
     end = (start[0] + _ARROW * toward[0], start[1] + _ARROW * toward[1])
     _arrow(old, start, end)
     _axes(old, "xyz"[right], "xyz"[up])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from knotgym.drawing import drawn_curve
 from knotgym.rendering import draw
-from knotgym.rope import MujocoSimulation, Rope, Simulation
+from knotgym.rope import MUJOCO, Rope, Simulation, simulation
 from knotgym.states import States, read_states, shipped, write_states
 from knotgym.topology import codes_of, label
 
@@ -96,11 +96,11 @@ def states_path(states: States, tmp_path_factory: pytest.TempPathFactory) -> str
 @pytest.fixture(scope="session")
 def tangled(rope: Rope) -> NDArray[np.float64]:
     """Generalized positions of ropes in mid-motion: float64 (40, nq)."""
-    simulation, rng = MujocoSimulation(8, rope, threads=0), np.random.default_rng(1)
+    ropes, rng = simulation(MUJOCO, 8, rope, threads=0), np.random.default_rng(1)
     seen = []
     for _ in range(12):
-        simulation.act(rng.uniform(-1, 1, (8, 6)))
-        seen.append(simulation.qpos())
+        ropes.act(rng.uniform(-1, 1, (8, 6)))
+        seen.append(ropes.qpos())
     return np.concatenate(seen[-5:])
 
 

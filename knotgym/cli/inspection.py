@@ -33,7 +33,7 @@ from knotgym.generate import film as film_of
 from knotgym.generate import show as show_results
 from knotgym.prompting import show_transcripts
 from knotgym.rendering import film_frames, require_film, write_film
-from knotgym.rope import rope_of, simulation_of
+from knotgym.rope import RopeConfig, simulation_of
 from knotgym.runs import Progress, executor, narrow_table
 from knotgym.states import read_states, resolve
 
@@ -140,7 +140,7 @@ def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
         raise InvalidInput(
             f"{path} has no recorded actions for its states, so they can't be replayed"
         )
-    end, rope = states.points[row], rope_of(states.points.shape[1])
+    end, rope = states.points[row], RopeConfig.of(states.points.shape[1])
     simulation = simulation_of(1, rope, states.engine)
     simulation.lay(states.source["start_qpos"][row][None])
     ropes, pulls = [simulation.points[0].copy()], []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidInput, InvalidPolicy, one_line
 from knotgym.control.sampler import Ids, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import REAL, ROUNDING, ActionView, choices, nearest_beads
+from knotgym.rope import ActionView, nearest_beads
 
 Generators = Sequence[np.random.Generator]
 
@@ -94,21 +94,18 @@ class _RandomPlayer(ActionPlayer):
         # all pulls of an episode, drawn when it begins
         size = self.view.size
         self._drawn = np.zeros((batch.count, batch.task.horizon, size), dtype=np.float32)
-        self._real = batch.task.action in REAL
-        if not self._real:
-            self._counts = choices(batch.task.action, batch.task.beads)
 
     def begin(self, ids: Ids, rngs: Generators) -> None:
         super().begin(ids, rngs)
         for index, rng in zip(ids.tolist(), rngs, strict=True):
-            if self._real:
+            if self.view.counts is None:
                 self._drawn[index] = rng.uniform(-1, 1, self._drawn.shape[1:])
 
     def choose(self, ids: Ids) -> NDArray[Any]:
-        if self._real:
+        if self.view.counts is None:
             drawn: NDArray[Any] = self._drawn[ids, self.batch.steps[ids]]
             return drawn
-        return np.stack([self.rngs[index].integers(self._counts) for index in ids.tolist()])
+        return np.stack([self.rngs[index].integers(self.view.counts) for index in ids.tolist()])
 
 
 def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
@@ -126,7 +123,7 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
         InvalidPolicy: an action isn't one of the view, such as six finite numbers in [-1, 1].
     """
     size = view.size
-    numbers = "finite numbers in [-1, 1]" if view.name in REAL else "whole numbers"
+    numbers = "finite numbers in [-1, 1]" if view.counts is None else "whole numbers"
     wanted = f"policy {name} must give {size} {numbers} for an episode"
     if not (isinstance(actions, np.ndarray) and actions.dtype == np.float32):
         try:
@@ -138,14 +135,11 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
             if len(row) != size:
                 raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")
         actions = np.stack(rows)
-    if view.name in REAL:
-        bad = ~(np.abs(actions) <= 1 + ROUNDING).all(axis=1)
-        if bad.any():
-            raise InvalidPolicy(f"{wanted}, got {actions[bad][0].tolist()}")
-        return np.clip(actions, -1, 1)
     try:
         view.check(actions, np.arange(len(actions)))
     except InvalidInput as error:
         raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
+    if view.counts is None:
+        return np.clip(actions, -1, 1)
     checked_actions: NDArray[np.float32] = actions
     return checked_actions

@@ -35,7 +35,6 @@ from knotgym.datasets import (
     code_sizes,
 )
 from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
-from knotgym.rope import encode_actions
 
 Ids = NDArray[np.int64]
 
@@ -435,8 +434,7 @@ class _Record:
     def _actions(self, pulls: Pulls) -> NDArray[np.float32]:
         simulation = self._batch.simulation
         newtons = pulls.forces.astype(np.float64) * simulation.max_force
-        points = simulation.points[pulls.ids]
-        return encode_actions(pulls.beads, newtons, points, simulation.rope.config)
+        return simulation.actions(pulls.beads, newtons, pulls.ids)
 
     def _put(self, name: str, ids: Ids, values: Any, back: int = 0) -> None:
         if name in self._steps:

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Column, InvalidInput, Schema, Table, padded
 from knotgym.envs import TaskConfig
+from knotgym.rope import TowBound
 from knotgym.topology import GaussCode, letters_of
 
 
@@ -245,9 +246,9 @@ class Episodes(NamedTuple):
         """
         first = self.offsets[self.episode_of()]
         beyond = np.zeros(self.steps.rows, dtype=bool)
-        if tow_limit is not None:  # see `rope.towing`
-            centres = self.steps["observation"].mean(axis=1, dtype=np.float64)
-            beyond = ~(np.linalg.norm(centres - centres[first], axis=1) <= tow_limit)
+        if tow_limit is not None:
+            points = self.steps["observation"]
+            beyond = TowBound(TowBound.centres(points)[first], tow_limit).exceeded(points)
         beyond[self.last()] |= self.episodes["diverged"]
         passed = np.concatenate([[0], np.cumsum(beyond)])
         numbers = _code_ids(self.steps["visits"])

@@ -34,6 +34,7 @@ from knotgym.datasets.episodes import (
     Shown,
 )
 from knotgym.envs import TaskConfig
+from knotgym.rope import nearest_beads
 
 
 def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
@@ -72,7 +73,7 @@ def _episode(
     items: Mapping[str, Any], name: str, task: TaskConfig, policy: str, path: Path
 ) -> Episodes:
     """Read one episode of T pulls."""
-    from knotgym.rope import Rope, decode_actions
+    from knotgym.rope import Rope
     from knotgym.topology import CodeArrays
 
     def read(key: str) -> NDArray[Any]:
@@ -109,7 +110,7 @@ def _episode(
     for column, found in shown.columns(schema).items():
         steps[column][:] = found
     led: dict[str, Any] = {
-        "bead": decode_actions(actions, points[:pulls], rope)[0],
+        "bead": nearest_beads(points[:pulls], rope.reach * actions[:, :3].astype(np.float64)),
         "force": np.clip(actions[:, 3:], -1, 1),
         "action": actions,
         "reward": read("rewards"),

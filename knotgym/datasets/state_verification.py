@@ -32,16 +32,7 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import MAX_BEADS, MIN_BEADS
-from knotgym.rope import (
-    MUJOCO,
-    Array,
-    Rope,
-    RopeConfig,
-    drawn_actions,
-    require_engine,
-    rope_of,
-    simulation,
-)
+from knotgym.rope import ENGINES, MUJOCO, Array, Rope, RopeConfig, drawn_actions, simulation
 from knotgym.states import (
     SOURCES,
     STATE_SPLITS,
@@ -70,15 +61,13 @@ _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would 
 def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
     made_for, beads = states.attributes.get("rope"), states.points.shape[1]
-    if not MIN_BEADS <= beads <= MAX_BEADS or rope_of(beads).fingerprint != made_for:
+    if not MIN_BEADS <= beads <= MAX_BEADS or RopeConfig.of(beads).fingerprint != made_for:
         yield f"rope model {made_for} is not this version's, {RopeConfig().fingerprint}"
         return
-    try:
-        require_engine(states.engine)
-    except InvalidInput as error:
-        yield f"states.h5: {error}"
+    if states.engine not in ENGINES:
+        yield f"states.h5: no engine {states.engine!r}; there is {', '.join(ENGINES)}"
         return
-    rope, needed = Rope(rope_of(beads)), {*_NEEDED}
+    rope, needed = Rope(RopeConfig.of(beads)), {*_NEEDED}
     if states.by_vertices:  # they have no measures
         needed = {name for name in needed if not name.startswith("quality/")}
     sources = {SOURCES.get(name) for name in states.source.get("policy", ())}

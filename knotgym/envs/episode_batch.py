@@ -27,17 +27,7 @@ from knotgym.envs.observations import (
 from knotgym.envs.reward import Outcome, Situation, outcome, reached
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope import (
-    ActionView,
-    Array,
-    Rope,
-    TowBound,
-    centres,
-    distances_towed,
-    least_clearance,
-    simulation,
-    start_qpos,
-)
+from knotgym.rope import ActionView, Array, Rope, TowBound, simulation, start_qpos
 from knotgym.topology import CodeArrays, GaussCode
 
 Ids = NDArray[np.int64]
@@ -179,7 +169,7 @@ class EpisodeBatch:
         starts = rows[0]
         for row in set(starts.tolist()) - self._clearances.keys():
             points = np.require(self.starts.points[row], np.float64, ["C", "W"])
-            self._clearances[row] = least_clearance(points, self.simulation.rope)
+            self._clearances[row] = self.simulation.rope.least_clearance(points)
         qpos = start_qpos(
             self.simulation.rope,
             self.starts.qpos[starts],
@@ -208,7 +198,7 @@ class EpisodeBatch:
         hold = np.asarray(rows.get("hold", 0))
         self.hold[ids] = np.where(hold, hold, self.task.hold)
         self.simulation.lay(self.start_qpos[ids], ids)
-        self.centre[ids] = centres(self.simulation.points[ids])
+        self.centre[ids] = TowBound.centres(self.simulation.points[ids])
         self.steps[ids] = self.held[ids] = 0
         self.failed[ids] = self.towed[ids] = False
         self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
@@ -265,8 +255,8 @@ class EpisodeBatch:
         self._read(ids)
         towed = np.zeros(len(ids), dtype=bool)
         if self.task.tow_limit is not None:
-            moved = distances_towed(self.simulation.points[ids], self.centre[ids])
-            towed = moved > self.task.tow_limit
+            bound = TowBound(self.centre[ids], self.task.tow_limit)
+            towed = bound.exceeded(self.simulation.points[ids])
         self.towed[ids] = towed
         self.steps[ids] += 1
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)

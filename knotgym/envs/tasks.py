@@ -252,7 +252,7 @@ class TaskConfig:
     @property
     def rope_at_rest(self) -> RopeConfig:
         """The rope as far as a state depends on it: the published one with this shape."""
-        from knotgym.rope import rope_of
+        from knotgym.rope import RopeConfig
 
         shape = {name: (self.rope or {})[name] for name in _SHAPE if name in (self.rope or {})}
-        return replace(rope_of(self.beads), **shape)  # type: ignore[arg-type]
+        return replace(RopeConfig.of(self.beads), **shape)  # type: ignore[arg-type]

@@ -21,7 +21,6 @@ from knotgym.common import (
 )
 from knotgym.loaders.data_stream import DataStream, Pictured, Played
 from knotgym.loaders.transitions import Opening, Transitions
-from knotgym.rope import DECISION, REAL
 
 # d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
 # it for everyone who installs all extras
@@ -163,7 +162,7 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
     if opening.get("window") is not None:
         raise InvalidInput("d3rlpy has windows of its own: leave out window, use its pickers")
     transitions = Transitions(dataset, **opening)
-    if transitions.action not in REAL:
+    if np.issubdtype(transitions.actions.dtype, np.integer):
         raise InvalidInput(
             "d3rlpy has no actions of several whole numbers: use action 'pull' or 'decision', got"
             f" {transitions.action!r}"
@@ -188,7 +187,7 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
         d3rlpy.dataset.InfiniteBuffer(),
         episodes=episodes,
         action_space=d3rlpy.ActionSpace.CONTINUOUS,
-        action_size=6 if transitions.action == "pull" else DECISION,
+        action_size=episodes[0].action_size,
     )
 
 

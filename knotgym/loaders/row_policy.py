@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, InvalidPolicy
 from knotgym.envs import ACTIONS, OBSERVATIONS, require_frame, split
-from knotgym.rope import DECISION, NEAR
+from knotgym.rope import LONGEST, NEAR
 
 # Rows that a model is given at a time: a network's sums depend on their number, and an episode must
 # not depend on those beside it.
@@ -45,9 +45,9 @@ class RowPolicy:
     def _of_block(self, observations: NDArray[Any]) -> NDArray[Any]:
         # copied, because the model may change what it gets and return the same array again
         found = np.array(self.predict(observations.copy()))
-        if self.action != "decision" or found.ndim != 2 or found.shape[1] <= DECISION:
+        rest = 4 * LONGEST  # all but a position, which the likeliest bead's takes
+        if self.action != "decision" or found.ndim != 2 or found.shape[1] <= 3 + rest:
             return found
-        rest = DECISION - 3  # all but a position, which the likeliest bead's takes
         beads = found[:, :-rest].argmax(axis=1)
         if self.observation == "marked":
             points = split(observations).points

@@ -20,7 +20,7 @@ from knotgym.datasets import columns_of, ranges
 from knotgym.envs import ACTIONS, Situation, outcome, reached, require_frame
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
-from knotgym.rope import LONGEST, decode_actions, force_choices, nearest_beads
+from knotgym.rope import LONGEST, force_choices, nearest_beads
 
 
 class Opening(TypedDict, total=False):
@@ -272,7 +272,8 @@ class Transitions:
             beads = steps["bead"][at].astype(np.int64)
         else:
             points = steps["observation"][at].astype(np.float64)
-            beads = decode_actions(pulls, points, self.task.rope_config)[0]
+            reach = self.task.rope_config.reach
+            beads = nearest_beads(points, reach * pulls[:, :3].astype(np.float64))
         return np.column_stack([beads, force_choices(pulls[:, 3:])])
 
     @cached_property

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import Stream
 from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import ARRIVED, STRIDE, Array
+from knotgym.rope import Array, WaypointFollower
 
 _ROPE = np.zeros(1, dtype=np.int64)  # the only one of a batch
 
@@ -105,9 +105,9 @@ class Session:
         """
         offset = np.asarray(target, dtype=np.float64) - self.points[bead]
         far = float(np.linalg.norm(offset))
-        if not ARRIVED < far < np.inf:
+        if not WaypointFollower.ARRIVED < far < np.inf:
             return False
-        self.pull(bead, offset / far * min(1.0, far / STRIDE))
+        self.pull(bead, offset / far * min(1.0, far / WaypointFollower.STRIDE))
         return True
 
     def undo(self) -> None:

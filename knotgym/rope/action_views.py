@@ -24,15 +24,16 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import InvalidInput
 from knotgym.rope.actions import (
     CHOICES,
-    DECISION,
     LONGEST,
     NEAR,
+    ROUNDING,
+    action_space,
     choices,
     chosen_forces,
     nearest_beads,
     quantized,
 )
-from knotgym.rope.interface import ROUNDING, Simulation
+from knotgym.rope.interface import Simulation
 from knotgym.rope.macro_actions import WaypointFollower
 
 
@@ -41,6 +42,8 @@ class ActionView:
 
     Attributes:
         name: "pull", "bead", "macro" or "decision".
+        counts: int64 (size,), how many values each whole number has; None if the numbers are in
+            [-1, 1].
         size: how many numbers an action has.
         busy: bool (count,), whether a rope's action has pulls left.
         pulls: int64 (count,), pulls of each rope's current or last action.
@@ -51,8 +54,8 @@ class ActionView:
     def __init__(self, view: str, simulation: Simulation) -> None:
         self.name, self._simulation = view, simulation
         count, beads = simulation.points.shape[:2]
-        self._counts = choices(view, beads) if view in CHOICES else None
-        self.size = {"pull": 6, "decision": DECISION}.get(view) or len(choices(view, beads))
+        self.counts = choices(view, beads) if view in CHOICES else None
+        (self.size,) = action_space(view, beads).shape or (0,)
         # those of macro-actions are kept by the controller
         self._actions: NDArray[np.float64] = np.zeros((count, self.size))
         self._lengths = np.ones(count, dtype=np.int64)  # pulls that an action has, at most
@@ -68,31 +71,21 @@ class ActionView:
             InvalidInput: they have another shape, or a number is out of range.
         """
         a = np.asarray(actions, dtype=np.float64)
-        if self.name == "pull":
-            self._simulation.read_actions(a, ids)
-            return a
-        if self._counts is None:
-            fits = a.shape == (len(ids), self.size)
-            if not fits or not (np.abs(a) <= 1 + ROUNDING).all():
-                raise InvalidInput(
-                    f"an action of the view {self.name!r} is {self.size} numbers in [-1, 1]; got"
-                    + (" others" if fits else f" shape {a.shape} for {len(ids)} ropes")
-                )
-            return np.clip(a, -1, 1)
+        wanted = f"an action of the view {self.name!r} is {self.size}"
+        wanted += " numbers in [-1, 1]" if self.counts is None else " whole numbers"
         if a.shape != (len(ids), self.size):
-            raise InvalidInput(
-                f"an action of the view {self.name!r} is {self.size} whole numbers; got"
-                f" shape {a.shape} for {len(ids)} ropes"
-            )
-        # equal to their rounded values, so that an integer in a float array is taken, and NaN is
-        # not
-        bad = ~((a == np.rint(a)) & (a >= 0) & (a < self._counts)).all(axis=1)
+            raise InvalidInput(f"{wanted}; got shape {a.shape} for {len(ids)} ropes")
+        if self.counts is None:
+            fits = np.abs(a) <= 1 + ROUNDING
+        else:
+            # equal to their rounded values, so that an integer in a float array is taken, and NaN
+            # is not
+            fits = (a == np.rint(a)) & (a >= 0) & (a < self.counts)
+            wanted += f" below {self.counts.tolist()}"
+        bad = ~fits.all(axis=1)
         if bad.any():
-            raise InvalidInput(
-                f"an action of the view {self.name!r} is whole numbers below"
-                f" {self._counts.tolist()}, got {a[bad][0].tolist()}"
-            )
-        return a
+            raise InvalidInput(f"{wanted}, got {a[bad][0].tolist()}")
+        return np.clip(a, -1, 1) if self.counts is None else a
 
     def reset(self, ids: NDArray[np.int64]) -> None:
         """Drop the actions of ropes whose episodes begin."""

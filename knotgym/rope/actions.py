@@ -11,12 +11,18 @@ A pull with a *quantized* force fits into four bytes: the bead, and three whole 
 of the largest force. Policies that pull beads quantize their forces, so that a recording of their
 episodes is the starts and four bytes a step.
 
-After a change run `pytest tests/rope/test_simulations.py tests/envs/test_action_views.py`: what was
-encoded must be decoded.
+The medium is viscous, so a rope's centre follows the sum of all applied forces. A rope that is
+pulled in one direction for long enough trails behind the pulled bead, stretches and untangles. A
+`TowBound` rules this out, but still allows pulls that cancel out over an episode.
+
+After a change run `pytest tests/rope/test_simulations.py tests/rope/test_towing.py
+tests/envs/test_action_views.py`: what was encoded must be decoded, and the expert's plans keep to
+the bound.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -30,6 +36,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
 FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 of the largest
 # Odd, so that one of the forces is exactly 0. Of 64 of the expert's plans (tie nx 2, convert nx 3)
 # that are binned and replayed blindly, 43 still end in the same code with 11 choices, 29 with 5, 48
@@ -39,8 +46,8 @@ FORCE_CHOICES = 11
 LONGEST = 10  # pulls of a macro-action or of a decision, at most
 NEAR = 1 / 3  # metres from the rope's centre that 1 stands for in a decision; ropes are 0.2 m wide
 DECISION = 3 + 4 * LONGEST  # numbers of a decision
-REAL = "pull", "decision"  # views whose actions are numbers in [-1, 1]
-# Values of each whole number of an action, by view; 0 stands for the number of beads.
+# Values of each whole number of an action, by view; 0 stands for the number of beads. Actions of
+# other views are numbers in [-1, 1].
 CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
 
 
@@ -146,7 +153,33 @@ def choices(view: str, beads: int) -> NDArray[np.int64]:
 
 def action_space(view: str, beads: int) -> spaces.Space[NDArray[Any]]:
     """Return the space of the actions of a view, see `action_views`."""
-    if view in REAL:
-        size = 6 if view == "pull" else DECISION
-        return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (size,), np.float32))
-    return spaces.MultiDiscrete(choices(view, beads))
+    if view in CHOICES:
+        return spaces.MultiDiscrete(choices(view, beads))
+    size = 6 if view == "pull" else DECISION
+    return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (size,), np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class TowBound:
+    """Limit on the displacement of one rope's centre, or of each of n.
+
+    Attributes:
+        origin: float64 (3,) or (n, 3), the centre at reset, metres.
+        limit: largest allowed distance from the origin, metres; or (n,).
+    """
+
+    origin: Array
+    limit: Any
+
+    @staticmethod
+    def centres(points: ArrayLike) -> Array:
+        """Return the mean vertex of each rope (n, beads, 3): float64 (n, 3), metres."""
+        # Beads are alike and each lies between two vertices, so round the loop the mean vertex is
+        # their centre of mass.
+        mean: Array = np.asarray(points, dtype=np.float64).mean(axis=1)
+        return mean
+
+    def exceeded(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Return which configurations (n, beads, 3) exceed the limit: bool (n,)."""
+        towed = np.linalg.norm(self.centres(points) - self.origin, axis=1)
+        return ~np.asarray(towed <= self.limit)  # NaN is beyond, too

@@ -22,20 +22,18 @@ _warned: set[str] = set()  # engines
 _shared: dict[tuple[str, int, RopeConfig], Simulation] = {}
 
 
-def require_engine(engine: object) -> None:
-    """Raise InvalidInput unless `engine` is the name of an engine."""
-    if engine not in ENGINES:
-        raise InvalidInput(f"no engine {engine!r}; there is {', '.join(ENGINES)}")
-
-
 def simulation(
     engine: str, count: int = 1, rope: Rope | None = None, threads: int = 1
 ) -> Simulation:
     """Return a simulation of `count` plain loops; `threads` 0 uses every core.
 
     Only this imports the engine.
+
+    Raises:
+        InvalidInput: there is no such engine.
     """
-    require_engine(engine)
+    if engine not in ENGINES:
+        raise InvalidInput(f"no engine {engine!r}; there is {', '.join(ENGINES)}")
     if engine == CHAIN:
         from knotgym.rope.chain.chain_simulation import ChainSimulation
 
@@ -73,15 +71,6 @@ def is_compiled(engine: str) -> bool:
     return all(
         any(Path(kernel.stats.cache_path).glob(f"{name}-*.nbi")) for name, kernel in kernels.items()
     )
-
-
-def compile_engine(engine: str) -> None:
-    """Compile the kernels of an engine and of the crossing search, or load them."""
-    from knotgym.topology import label
-
-    first = simulation(engine)
-    first.step([0], [[0.0, 0.0, 0.0]])
-    label(first.points[0])
 
 
 def warn_of_compilation(engine: str) -> None:

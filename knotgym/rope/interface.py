@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Threads
-from knotgym.rope.actions import decode_actions, encode_actions
+from knotgym.rope.actions import ROUNDING, decode_actions, encode_actions
 from knotgym.rope.model import Array, Rope, RopeConfig
-
-ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
 
 Ids = Sequence[int] | NDArray[np.int64] | None
 

@@ -25,14 +25,14 @@ from knotgym.rope.model import Array
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 KINDS = ("pass", "curl", "spread", "shift")
 
-# STRIDE is about what is measured: at full force the pulled bead moves by 48 mm in an action on
+# _STRIDE is about what is measured: at full force the pulled bead moves by 48 mm in an action on
 # average. The others were set by hand when play made the states (2026), and no record says what
 # other values gave. A change needs the table of moves made again (`benchmarks/moves.py`), and
 # `expert` and `planner` must succeed as often as docs/benchmark.md says. Lengths are in metres,
 # angles in radians.
-SHARES = (0.4, 0.25, 0.1, 0.25)  # probabilities of KINDS in random draws
-ARRIVED = 0.012  # distance at which a waypoint counts as reached
-STRIDE = 0.045  # what a step at full force moves a bead; it is less if the waypoint is nearer
+_CUMULATIVE = np.cumsum((0.4, 0.25, 0.1, 0.25))  # probabilities of KINDS, summed up
+_ARRIVED = 0.012  # distance at which a waypoint counts as reached
+_STRIDE = 0.045  # what a step at full force moves a bead; it is less if the waypoint is nearer
 LIFT = 0.03  # height above or below a strand at which a bead passes it, or by which a shift rises
 RISE = 0.03  # horizontal distance within which a bead reaches that height
 _DISTANCE = 0.03, 0.2  # range of the length of a spread or shift
@@ -73,29 +73,41 @@ class MacroAction:
     target: int = -1
     side: int = 0
 
+    @classmethod
+    def drawn(cls, points: Array, rng: np.random.Generator) -> "MacroAction":
+        """Draw a macro-action at random.
 
-def propose(points: Array, rng: np.random.Generator) -> MacroAction:
-    """Draw a macro-action at random.
+        Args:
+            points: float64 (beads, 3), metres.
+            rng: source of all draws.
+        """
+        # Draws come in this order whatever the kind: another would change every seeded run.
+        beads = len(points)
+        kind = KINDS[int(_CUMULATIVE.searchsorted(rng.random(), side="right"))]
+        bead = int(rng.integers(beads))
+        side = (-1, 1)[rng.integers(2)]
+        if kind == "curl":
+            least, most = _CURL_APART  # either way along the rope
+            apart = int(rng.integers(least, most + 1)) * (-1, 1)[rng.integers(2)]
+        elif kind == "pass":
+            # at least so many from the bead in both directions round the loop
+            apart = int(rng.integers(_PASS_APART, beads - _PASS_APART))
+        else:
+            return _aside(points, kind, bead, side, rng)
+        return cls.passing(points, Pass(bead, (bead + apart) % beads, side), rng)
 
-    Args:
-        points: float64 (beads, 3), metres.
-        rng: source of all draws.
-    """
-    # Draws come in this order whatever the kind: another order would change every seeded run.
-    beads = len(points)
-    shares = cumulative_shares(np.array(SHARES))
-    kind = KINDS[int(shares.searchsorted(rng.random(), side="right"))]
-    bead = int(rng.integers(beads))
-    side = (-1, 1)[rng.integers(2)]
-    if kind == "curl":
-        least, most = _CURL_APART  # either way along the rope
-        apart = int(rng.integers(least, most + 1)) * (-1, 1)[rng.integers(2)]
-    elif kind == "pass":
-        # at least so many from the bead in both directions round the loop
-        apart = int(rng.integers(_PASS_APART, beads - _PASS_APART))
-    else:
-        return move_aside(points, kind, bead, side, rng)
-    return pass_strand(points, bead, (bead + apart) % beads, side, rng)
+    @classmethod
+    def passing(cls, points: Array, move: Pass, rng: np.random.Generator) -> "MacroAction":
+        """Lead a bead over or under its target and a little beyond it, by chance."""
+        turn, beyond = rng.normal(0, _PASS_ANGLE), rng.uniform(*_BEYOND)
+        offset = points[move.target, :2] - points[move.bead, :2]
+        # a strand farther away than that is approached without being passed
+        far = min(float(np.hypot(*offset)), _FARTHEST)
+        heading = np.arctan2(offset[1], offset[0]) + turn
+        # relative to the strand to pass, not to the bead
+        height = points[move.target, 2] + move.side * LIFT
+        waypoints = _waypoints(points, move.bead, heading, height, min(RISE, far), far + beyond)
+        return cls(move.bead, waypoints, move.target, move.side)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,23 +129,21 @@ class Haul:
         """Return the bead to pull in a step, and the force, float64 (3,)."""
         return self.beads[step % 2], self.force * ((1, 1, 1), (-1, -1, 1))[step % 2]
 
+    @classmethod
+    def drawn(cls, beads: int, rng: np.random.Generator) -> "Haul":
+        """Draw a haul of two beads that are at least a fifth of the rope apart.
 
-def propose_haul(beads: int, rng: np.random.Generator) -> Haul:
-    """Draw a haul of two beads that are at least a fifth of the rope apart.
-
-    A rope of 200 beads is hauled for twice as many steps as one of 100.
-    """
-    first, apart = int(rng.integers(beads)), int(rng.integers(beads // 5, beads - beads // 5))
-    # horizontal part of length 1 plus a rise: each component is in [-1, 1], as in an action
-    heading, rise = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAUL_RISE)
-    force = quantized([np.cos(heading), np.sin(heading), rise])
-    fewest, most = (steps * beads // 100 for steps in _HAUL_STEPS)
-    return Haul((first, (first + apart) % beads), force, int(rng.integers(fewest, most)))
+        A rope of 200 beads is hauled for twice as many steps as one of 100.
+        """
+        first, apart = int(rng.integers(beads)), int(rng.integers(beads // 5, beads - beads // 5))
+        # horizontal part of length 1 plus a rise: each component is in [-1, 1], as in an action
+        heading, rise = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAUL_RISE)
+        force = quantized([np.cos(heading), np.sin(heading), rise])
+        fewest, most = (steps * beads // 100 for steps in _HAUL_STEPS)
+        return cls((first, (first + apart) % beads), force, int(rng.integers(fewest, most)))
 
 
-def move_aside(
-    points: Array, kind: str, bead: int, side: int, rng: np.random.Generator
-) -> MacroAction:
+def _aside(points: Array, kind: str, bead: int, side: int, rng: np.random.Generator) -> MacroAction:
     """Lead a bead away from the rope's middle ("spread"), or in a random direction ("shift").
 
     A shift is raised (side +1) or lowered (-1) by LIFT; a spread stays at its height.
@@ -149,21 +159,6 @@ def move_aside(
     far = rng.uniform(*_DISTANCE)
     waypoints = _waypoints(points, bead, heading, height, min(RISE, far), far)
     return MacroAction(bead, waypoints, side=side)
-
-
-def pass_strand(
-    points: Array, bead: int, target: int, side: int, rng: np.random.Generator
-) -> MacroAction:
-    """Lead a bead over (side +1) or under (-1) the bead `target` and a little beyond it."""
-    turn, beyond = rng.normal(0, _PASS_ANGLE), rng.uniform(*_BEYOND)
-    offset = points[target, :2] - points[bead, :2]
-    # a strand farther away than that is approached without being passed
-    far = min(float(np.hypot(*offset)), _FARTHEST)
-    heading = np.arctan2(offset[1], offset[0]) + turn
-    # relative to the strand to pass, not to the bead
-    height = points[target, 2] + side * LIFT
-    waypoints = _waypoints(points, bead, heading, height, min(RISE, far), far + beyond)
-    return MacroAction(bead, waypoints, target, side)
 
 
 def _waypoints(
@@ -199,18 +194,6 @@ def _waypoints(
     )
 
 
-def cumulative_shares(weights: Array) -> Array:
-    """Normalize weights and sum them up, so that
-    `searchsorted(rng.random(), side="right")` draws an index.
-
-    `Generator.choice` draws the same index from the same number of the stream, but its checks of
-    the arguments take far longer.
-    """
-    shares = (weights / weights.sum()).cumsum()
-    # divided again, as `choice` does: rounding may leave the last sum a little off 1
-    return np.asarray(shares / shares[-1])
-
-
 class WaypointFollower:
     """Carries out a macro-action on each of n ropes, pull by pull, in compiled code.
 
@@ -219,6 +202,8 @@ class WaypointFollower:
     Attributes:
         beads: int64 (n,), the bead to pull on each rope.
     """
+
+    ARRIVED, STRIDE = _ARRIVED, _STRIDE
 
     def __init__(self, count: int) -> None:
         self.beads = np.zeros(count, dtype=np.int64)
@@ -256,23 +241,23 @@ class WaypointFollower:
 
     def arrive(self, points: Array, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Go on to the first waypoint that the bead hasn't reached; return which have none left."""
-        _arrive(points, ids, self.beads, self._waypoints, self._stage, ARRIVED)
+        _arrive(points, ids, self.beads, self._waypoints, self._stage, _ARRIVED)
         return np.asarray(self._stage[ids] >= _WAYPOINTS)
 
     def forces(self, points: Array, ids: NDArray[np.int64]) -> NDArray[np.float32]:
         """Forces on the led beads, float32 (len(ids), 3), in units of the largest; 0 if idle.
 
-        Their length is 1, or less where the waypoint is nearer than STRIDE. They are `quantized`.
+        Their length is 1, or less where the waypoint is nearer than a stride. They are `quantized`.
         """
-        return np.asarray(_lead(points, ids, self.beads, self._waypoints, self._stage, STRIDE))
+        return np.asarray(_lead(points, ids, self.beads, self._waypoints, self._stage, _STRIDE))
 
 
 @njit(cache=True, nogil=True)
 def _straight(points, ids, passes, waypoints, rise, farthest, lift, beyond):  # type: ignore[no-untyped-def]
     """Lay out the `_waypoints` of passes (bead, target, side) in rows `ids`.
 
-    They are those of `pass_strand` straight ahead and a fixed distance beyond. No sine or cosine:
-    their last bits differ between processors.
+    They are those of `MacroAction.passing` straight ahead and a fixed distance beyond. No sine or
+    cosine: their last bits differ between processors.
     """
     for k in range(len(ids)):
         rope, bead, target, side = points[ids[k]], passes[k, 0], passes[k, 1], passes[k, 2]

@@ -4,6 +4,10 @@ Bead i is a rigid capsule from vertex i to vertex i + 1. A *configuration* is th
 of vertices in metres, z up, in the order in which the rope runs. MuJoCo needs kinematic trees, so
 the loop is cut into sub-chains. Each is a chain of ball joints with one free bead as its root;
 `connect` equality constraints pull the end of each sub-chain to the start of the next.
+
+Quaternions are (w, x, y, z). The trees are described by arrays over the beads: `order` lists
+parents before their children; `parent` is -1 at a root; `at` is the index in qpos at which a bead's
+numbers begin; `rest` is its orientation relative to its parent at zero joint angle.
 Source: arXiv 2505.18028 for the constants. All beads are equal here; in the published asset their
 lengths vary.
 
@@ -15,16 +19,17 @@ import hashlib
 import json
 from dataclasses import asdict, fields, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import mujoco
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
-from knotgym.common import InvalidInput, configuration
-from knotgym.rope.closed_curves import clearance, equal_chords
-from knotgym.rope.kinematics import backward, forward, transported
+from knotgym.common import InvalidInput, configuration, inner
+from knotgym.rope.closed_curves import clearance, equal_chords, require_embedded
 from knotgym.topology import same_spot
 
 Array = NDArray[np.float64]
@@ -99,10 +104,28 @@ class RopeConfig:
                 f" {self.radius:.3g}"
             )
 
+    @classmethod
+    def of(cls, beads: int) -> "RopeConfig":
+        """Return the rope of so many beads of the usual length; 200 of them make 2.66 m.
+
+        Sub-chains keep their size, so that closing errors do too.
+        """
+        usual = cls()
+        # As many beads to a metre, and closures as far apart, as in the usual rope.
+        share = beads / usual.beads
+        chains = max(2, round(share * usual.sub_chains))
+        return replace(usual, beads=beads, length=share * usual.length, sub_chains=chains)
+
     @property
     def bead_length(self) -> float:
         """Distance between neighbouring vertices, metres."""
         return self.length / self.beads
+
+    @property
+    def chains(self) -> list[tuple[int, int]]:
+        """First and last bead of each sub-chain; sizes differ by at most one bead."""
+        cuts = [round(k * self.beads / self.sub_chains) for k in range(self.sub_chains + 1)]
+        return [(first, after - 1) for first, after in pairwise(cuts)]
 
     @property
     def added(self) -> dict[str, Any]:
@@ -123,18 +146,6 @@ class RopeConfig:
         known = {name: value for name, value in asdict(self).items() if name in _PUBLISHED}
         text = json.dumps({**_PUBLISHED, **known, **self.added}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def rope_of(beads: int) -> RopeConfig:
-    """Return the rope of so many beads of the usual length; 200 of them make 2.66 m.
-
-    Sub-chains keep their size, so that closing errors do too.
-    """
-    usual = RopeConfig()
-    # As many beads to a metre, and closures as far apart, as in the usual rope.
-    share = beads / usual.beads
-    chains = max(2, round(share * usual.sub_chains))
-    return replace(usual, beads=beads, length=share * usual.length, sub_chains=chains)
 
 
 class Rope:
@@ -164,7 +175,7 @@ class Rope:
         self._rest = self.model.body_quat[self.bodies].copy()
         # Chords between two sub-chains may have any length up to the gap that closures leave.
         self._next_in_chain = np.ones(beads, dtype=bool)
-        self._next_in_chain[[last for _, last in sub_chains(self.config)]] = False
+        self._next_in_chain[[last for _, last in self.config.chains]] = False
 
     @property
     def nq(self) -> int:
@@ -191,11 +202,11 @@ class Rope:
         Returns:
             float64 (..., beads, 3) and float64 (...), metres.
         """
-        # a writable array, because numba would compile `forward` again for a read-only one
+        # a writable array, because numba would compile `_forward` again for a read-only one
         q = np.require(qpos, np.float64, ["C", "W"])
         rows = q.reshape(-1, self.nq)
         points, gaps = np.empty((len(rows), self.config.beads, 3)), np.empty(len(rows))
-        forward(
+        _forward(
             rows,
             self._order,
             self._parent,
@@ -221,7 +232,7 @@ class Rope:
         rows = p.reshape(-1, *p.shape[-2:])
         along = np.roll(rows, -1, axis=1) - rows
         along /= np.linalg.norm(along, axis=2, keepdims=True)
-        qpos = self.turned_qpos(rows, transported(along, self._order, self._parent))
+        qpos = self.turned_qpos(rows, _transported(along, self._order, self._parent))
         return qpos.reshape(*p.shape[:-2], self.nq)
 
     def turned_qpos(self, points: Array, world: Array) -> Array:
@@ -236,8 +247,16 @@ class Rope:
         """
         qpos = np.empty((len(points), self.nq))
         trees = self._order, self._parent, self._qpos_at, self._rest
-        backward(np.ascontiguousarray(points), world, *trees, qpos)
+        _backward(np.ascontiguousarray(points), world, *trees, qpos)
         return qpos
+
+    def least_clearance(self, points: Array) -> float:
+        """Return how near noise may bring the beads of a rope, float64 (beads, 3), metres.
+
+        Beads at rest may touch or overlap already, so the bound is relative to where they are now;
+        beads that are apart may come to touch.
+        """
+        return clearance(points, 2 * self.config.radius) - 0.001
 
     def loop(self) -> Array:
         """Return the plain loop, flat, anticlockwise from +x: float64 (beads, 3), metres."""
@@ -246,7 +265,9 @@ class Rope:
         radius = self.config.bead_length / (2 * np.sin(np.pi / self.config.beads))
         return radius * np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
 
-    def from_curve(self, curve: ArrayLike, *, max_overlap: float = 0.001) -> Array:
+    def from_curve(
+        self, curve: ArrayLike, *, max_overlap: float = 0.001, embedded: bool = False
+    ) -> Array:
         """Turn a closed polyline into a configuration of this rope.
 
         A curve that already is a configuration (beads of the right length inside every sub-chain,
@@ -257,13 +278,15 @@ class Rope:
             curve: (n, 3), n >= 4, any unit; the last point is joined to the first, which may also
                 be repeated at the end. Of points on one spot one is kept.
             max_overlap: largest overlap of two beads that aren't neighbours, metres.
+            embedded: whether the curve itself must be embedded, as every knot is.
 
         Returns:
             float64 (beads, 3), metres.
 
         Raises:
             InvalidInput: the points are not finite or not below 1e100, the curve is not closed or
-                turns too sharply, or beads would overlap.
+                turns too sharply, or beads would overlap; or it must be embedded, and jumps, meets
+                itself or has more than 20,000 points.
         """
         p = np.array(curve, dtype=np.float64)
         if p.ndim != 2 or p.shape[1] != 3:
@@ -289,6 +312,8 @@ class Rope:
                 raise InvalidInput(
                     f"the curve turns too sharply for a rope of {self.config.beads} beads"
                 )
+        if embedded:
+            require_embedded(np.asarray(curve, dtype=np.float64))
         depth = 2 * self.config.radius - clearance(p, 2 * self.config.radius)
         if depth > max_overlap:
             most = f"{1000 * max_overlap:.1f} mm"
@@ -324,9 +349,9 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     # Projected Gauss-Seidel, as published: results depend on the solver.
     spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
-    for first, last in sub_chains(config):
+    for first, last in config.chains:
         _add_chain(spec, config, first, last)
-    for _, last in sub_chains(config):
+    for _, last in config.chains:
         _join(spec, config, last, (last + 1) % config.beads)
     return spec.compile()
 
@@ -388,7 +413,153 @@ def _join(spec: mujoco.MjSpec, config: RopeConfig, last: int, after: int) -> Non
     spec.add_exclude(bodyname1=f"bead{last}", bodyname2=f"bead{after}")
 
 
-def sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
-    """Return the first and last bead of each sub-chain; sizes differ by at most one bead."""
-    cuts = [round(k * config.beads / config.sub_chains) for k in range(config.sub_chains + 1)]
-    return [(first, after - 1) for first, after in zip(cuts[:-1], cuts[1:], strict=True)]
+@numba.njit(cache=True, nogil=True)
+def _forward(
+    qpos: Array,
+    order: Array,
+    parent: Array,
+    at: Array,
+    rest: Array,
+    length: float,
+    points: Array,
+    gaps: Array,
+) -> None:
+    """Compute the vertices of generalized positions and the largest gap between joined ends.
+
+    Args:
+        qpos: float64 (n, nq).
+        order, parent, at, rest: the trees, see the module.
+        length: length of a bead, metres.
+        points: float64 (n, beads, 3), metres; output.
+        gaps: float64 (n,), metres; output.
+    """
+    beads = len(order)
+    world = np.empty((beads, 4))
+    axis = np.empty((beads, 3))
+    turned, own = np.empty(4), np.empty(4)
+    for row in range(len(qpos)):
+        q = qpos[row]
+        for k in range(beads):
+            bead = order[k]
+            up, a = parent[bead], at[bead]
+            if up < 0:
+                # a free joint: position in q[a : a + 3], orientation in q[a + 3 : a + 7]
+                _unit(q[a + 3 : a + 7], world[bead])
+            else:
+                # world = parent's world * rest * ball joint; MuJoCo normalizes the joint's
+                # quaternion before use, and so must we
+                _multiply(world[up], rest[bead], turned)
+                _unit(q[a : a + 4], own)
+                _multiply(turned, own, world[bead])
+            # a bead lies along its body's x axis: the first column of the rotation matrix
+            w, x, y, z = world[bead, 0], world[bead, 1], world[bead, 2], world[bead, 3]
+            axis[bead, 0] = length * (1 - 2 * (y * y + z * z))
+            axis[bead, 1] = length * 2 * (x * y + w * z)
+            axis[bead, 2] = length * 2 * (x * z - w * y)
+            for c in range(3):
+                if up < 0:
+                    points[row, bead, c] = q[a + c]
+                elif up == bead - 1:
+                    # after the root: the bead starts where its parent ends
+                    points[row, bead, c] = points[row, up, c] + axis[up, c]
+                else:
+                    # before the root: the bead ends where its parent starts
+                    points[row, bead, c] = points[row, up, c] - axis[bead, c]
+        # Inside a sub-chain the next vertex is the bead's end by construction, so that only the
+        # soft closures between sub-chains contribute here.
+        gaps[row] = 0.0
+        for bead in range(beads):
+            square = 0.0
+            for c in range(3):
+                apart = points[row, (bead + 1) % beads, c] - points[row, bead, c] - axis[bead, c]
+                square += apart * apart
+            gaps[row] = max(gaps[row], np.sqrt(square))
+
+
+@numba.njit(cache=True, nogil=True)
+def _transported(along: Array, order: Array, parent: Array) -> Array:
+    """Return the orientations of beads with the smallest twist, float64 (n, beads, 4).
+
+    Vertices alone don't determine the rotation of a bead about its own axis; each bead gets its
+    parent's orientation turned by the shortest arc (parallel transport).
+
+    Args:
+        along: float64 (n, beads, 3), unit vectors of the beads.
+        order, parent: the trees, see the module.
+    """
+    world = np.empty((len(along), len(order), 4))
+    x_axis, arc = np.zeros(3), np.empty(4)
+    x_axis[0] = 1.0
+    for row in range(len(along)):
+        for k in range(len(order)):
+            bead = order[k]
+            up = parent[bead]
+            if up < 0:
+                _shortest_arc(x_axis, along[row, bead], world[row, bead])
+            else:
+                _shortest_arc(along[row, up], along[row, bead], arc)
+                # the arc is applied in the world's frame, so it stands on the left
+                _multiply(arc, world[row, up], world[row, bead])
+    return world
+
+
+@numba.njit(cache=True, nogil=True)
+def _backward(
+    points: Array, world: Array, order: Array, parent: Array, at: Array, rest: Array, qpos: Array
+) -> None:
+    """Compute the generalized positions of beads that lie and are turned as given.
+
+    Args:
+        points: float64 (n, beads, 3), metres.
+        world: float64 (n, beads, 4), the beads' orientations.
+        order, parent, at, rest: the trees, see the module.
+        qpos: float64 (n, nq); output.
+    """
+    back = np.empty(4)
+    for row in range(len(points)):
+        for bead in order:
+            up, a = parent[bead], at[bead]
+            if up < 0:
+                for c in range(3):
+                    qpos[row, a + c] = points[row, bead, c]
+                for c in range(4):
+                    qpos[row, a + 3 + c] = world[row, bead, c]
+            else:
+                # joint = (parent's world * rest)^-1 * world; the inverse of a unit quaternion is
+                # its conjugate
+                _multiply(world[row, up], rest[bead], back)
+                for c in range(1, 4):
+                    back[c] *= -1.0
+                _multiply(back, world[row, bead], qpos[row, a : a + 4])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
+def _unit(q: Array, unit: Array) -> None:
+    size = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    for c in range(4):
+        unit[c] = q[c] / size
+
+
+@inner
+def _multiply(a: Array, b: Array, product: Array) -> None:
+    """Write the Hamilton product a b; `product` must share no memory with a or b."""
+    product[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
+    product[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
+    product[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
+    product[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+
+
+@inner
+def _shortest_arc(a: Array, b: Array, arc: Array) -> None:
+    """Write the quaternion of the smallest rotation that takes unit vector a to unit vector b."""
+    # (1 + a . b, a x b) = 2 cos(t / 2) (cos(t / 2), sin(t / 2) n) for angle t and axis n
+    x, y, z = b[0], b[1], b[2]
+    arc[0] = 1 + a[0] * x + a[1] * y + a[2] * z
+    if arc[0] < 1e-12:  # opposite: half a turn about any perpendicular axis
+        # cross with the z axis, or with x where a is nearly along z
+        arc[0] = 0.0
+        x, y, z = (0.0, 0.0, 1.0) if abs(a[2]) < 0.9 else (1.0, 0.0, 0.0)
+    arc[1] = a[1] * z - a[2] * y
+    arc[2] = a[2] * x - a[0] * z
+    arc[3] = a[0] * y - a[1] * x
+    _unit(arc, arc)

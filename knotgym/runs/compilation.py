@@ -4,7 +4,7 @@ import gc
 from collections.abc import Callable
 from concurrent.futures import Executor
 
-from knotgym.rope import CHAIN, MUJOCO, compile_engine, is_compiled
+from knotgym.rope import CHAIN, MUJOCO, is_compiled, simulation
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress
 
@@ -75,5 +75,9 @@ def _compile(kernels: str) -> None:
         pyknotid_code(points)
         rope.qpos(points)
     else:
-        compile_engine(kernels)
+        from knotgym.topology import label
+
+        first = simulation(kernels)
+        first.step([0], [[0.0, 0.0, 0.0]])
+        label(first.points[0])
     gc.enable()

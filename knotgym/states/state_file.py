@@ -113,7 +113,7 @@ class States:
         """
         import mujoco  # here, so that reading states needs no simulator
 
-        from knotgym.rope import Rope, rope_of
+        from knotgym.rope import Rope, RopeConfig
 
         curves, splits = np.asarray(points, dtype=np.float64), np.asarray(split, dtype=np.str_)
         if curves.ndim != 3 or curves.shape[2] != 3 or not len(curves):
@@ -125,7 +125,7 @@ class States:
             )
         if curves.shape[1] and same_spot(curves)[:, -1].all():
             curves = curves[:, :-1]  # the first vertex again, which makes no bead
-        rope = Rope(rope_of(curves.shape[1]))
+        rope = Rope(RopeConfig.of(curves.shape[1]))
         rows = list[dict[str, Any]]()
         for number, curve in enumerate(curves):
             try:
@@ -259,9 +259,9 @@ def read_states(path: str | os.PathLike[str] | None = None, *, images: bool = Tr
 
 def write_vertices(path: str | os.PathLike[str], table: Table, **attributes: Any) -> None:
     """Write a state file by vertices atomically; `table` fits `schema.VERTICES`."""
-    from knotgym.rope import rope_of
+    from knotgym.rope import RopeConfig
 
-    whole = {"rope": rope_of(table["points"].shape[1]).fingerprint, **attributes}
+    whole = {"rope": RopeConfig.of(table["points"].shape[1]).fingerprint, **attributes}
     write_tables(path, [table], whole, format=VERTICES_FORMAT, pack=True)
 
 
@@ -271,9 +271,9 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
     Laying a rope needs + - * / and square roots alone, so that every processor computes the same.
     """
     # imported here, because only this form needs the simulator
-    from knotgym.rope import Rope, rope_of
+    from knotgym.rope import Rope, RopeConfig
 
-    rope = Rope(rope_of(table["points"].shape[1]))
+    rope = Rope(RopeConfig.of(table["points"].shape[1]))
     try:
         qpos = rope.qpos(table["points"].astype(np.float64))
         points, count = rope.points(qpos), table.rows

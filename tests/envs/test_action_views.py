@@ -14,7 +14,7 @@ from knotgym.datasets import write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
-from knotgym.rope import FORCE_CHOICES, LONGEST, chosen_forces, force_choices, quantized
+from knotgym.rope import LONGEST, chosen_forces, force_choices, quantized
 
 VIEWS = ("bead", "macro")
 
@@ -38,9 +38,7 @@ def settings(task: TaskConfig, **changes: Any) -> dict[str, Any]:
     return {"nx": task.nx, "states": task.states, "observation": "state", **changes}
 
 
-@pytest.mark.parametrize(
-    "view, size", [("bead", [100, *3 * [FORCE_CHOICES]]), ("macro", [100, 100, 2])]
-)
+@pytest.mark.parametrize("view, size", [("bead", [100, 11, 11, 11]), ("macro", [100, 100, 2])])
 def test_a_view_has_its_space_and_survives_in_a_spec(
     view: str, size: list[int], task: TaskConfig
 ) -> None:
@@ -55,10 +53,10 @@ def test_a_view_has_its_space_and_survives_in_a_spec(
 
 
 def test_bins_have_a_zero_and_lie_on_the_grid_of_quantized_pulls() -> None:
-    forces = chosen_forces(np.arange(FORCE_CHOICES))
-    assert forces[FORCE_CHOICES // 2] == 0 and forces[[0, -1]].tolist() == [-1, 1]
+    forces = chosen_forces(np.arange(11))
+    assert forces[5] == 0 and forces[[0, -1]].tolist() == [-1, 1]
     assert np.array_equal(quantized(forces), forces)
-    assert force_choices(forces).tolist() == list(range(FORCE_CHOICES))
+    assert force_choices(forces).tolist() == list(range(11))
 
 
 def test_a_bead_action_pulls_that_bead(task: TaskConfig) -> None:

@@ -18,7 +18,7 @@ from knotgym.control import verify
 from knotgym.drawing import drawn_curve
 from knotgym.generate.states.curve_files import read_curves
 from knotgym.generate.states.imported_curves import _shown_code, import_curves
-from knotgym.rope import Rope, rope_of
+from knotgym.rope import Rope, RopeConfig
 from knotgym.states import read_states, shipped, write_states
 from knotgym.topology import knot_type, label, parse_codes, pyknotid_code, with_chirality
 
@@ -340,7 +340,7 @@ def test_knots_that_share_polynomials_are_named(tmp_path: Path) -> None:
     code = with_chirality(
         *parse_codes(["[4, 12, 14, 16, 18, 20, 2, 10, 8, 6]"]),
     )  # KnotInfo's 10_25, not as in its PD
-    points = drawn_curve(code, np.random.default_rng(0), Rope(rope_of(200)))
+    points = drawn_curve(code, np.random.default_rng(0), Rope(RopeConfig.of(200)))
     with pytest.raises(InvalidInput, match="can't be certified; it is one of 10_25, 10_56"):
         import_curves([wrote(tmp_path / "ten.csv", table(points))])
 

@@ -12,7 +12,7 @@ from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy
 from knotgym.envs import KnotEnv, TaskConfig
 from knotgym.rendering import draw, picture_of
-from knotgym.rope import rope_of
+from knotgym.rope import RopeConfig
 from knotgym.states import merge_states, read_states, shipped
 
 from ..small_job import knotgym as run
@@ -31,7 +31,7 @@ def states(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_states_of_another_rope_say_so_and_have_no_fault(states: Path) -> None:
     held = read_states(states)
     assert held.points.shape == (4, BEADS, 3)
-    assert held.attributes["rope"] == rope_of(BEADS).fingerprint
+    assert held.attributes["rope"] == RopeConfig.of(BEADS).fingerprint
     assert held.attributes["config"]["beads"] == BEADS
     assert held.image is not None
     assert np.array_equal(held.image[0], draw(held.points[0], picture_of(BEADS)))

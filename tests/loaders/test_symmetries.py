@@ -11,7 +11,7 @@ from synthetic_episodes import TINY
 from knotgym.common import InvalidInput
 from knotgym.loaders import arrays
 from knotgym.loaders.symmetries import Symmetries, multiplied
-from knotgym.rope import CHAIN, MUJOCO, Rope, backward
+from knotgym.rope import CHAIN, MUJOCO, Rope
 from knotgym.rope import simulation as simulation_of
 from knotgym.states import read_states, shipped
 from knotgym.topology import label_many
@@ -40,10 +40,8 @@ def image_of(rope: Rope, qpos: Array, drawn: Symmetries) -> Array:
     quaternions = np.empty((len(world), 4))
     for quaternion, matrix in zip(quaternions, world.reshape(-1, 9), strict=True):
         mujoco.mju_mat2Quat(quaternion, matrix)
-    points, made = drawn.vertices(rope.points(qpos[None])), np.empty((1, rope.nq))
-    tree = rope._order, rope._parent, rope._qpos_at, rope._rest
-    backward(points, quaternions[None], *tree, made)
-    return made[0]
+    (made,) = rope.turned_qpos(drawn.vertices(rope.points(qpos[None])), quaternions[None])
+    return made
 
 
 @pytest.mark.parametrize(

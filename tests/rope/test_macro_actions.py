@@ -5,16 +5,13 @@ import pytest
 
 from knotgym.rope.actions import quantized
 from knotgym.rope.macro_actions import (
-    ARRIVED,
     KINDS,
     LIFT,
     RISE,
     STRAIGHT_LIFT,
     MacroAction,
+    Pass,
     WaypointFollower,
-    cumulative_shares,
-    pass_strand,
-    propose,
 )
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
@@ -22,7 +19,7 @@ from knotgym.rope.mujoco_simulation import MujocoSimulation
 
 def drawn(rope: Rope, count: int = 300, seed: int = 0) -> list[MacroAction]:
     rng = np.random.default_rng(seed)
-    return [propose(rope.loop(), rng) for _ in range(count)]
+    return [MacroAction.drawn(rope.loop(), rng) for _ in range(count)]
 
 
 def test_the_same_seed_draws_the_same_macro_actions(rope: Rope) -> None:
@@ -35,8 +32,8 @@ def test_the_same_seed_draws_the_same_macro_actions(rope: Rope) -> None:
 def test_only_passes_and_curls_have_a_strand_to_pass(
     rope: Rope, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shares = tuple(float(one == kind) for one in KINDS)
-    monkeypatch.setattr("knotgym.rope.macro_actions.SHARES", shares)
+    shares = np.cumsum([one == kind for one in KINDS])
+    monkeypatch.setattr("knotgym.rope.macro_actions._CUMULATIVE", shares)
     moves = drawn(rope, 100)
     apart = [(move.target - move.bead) % 100 for move in moves]
     near = [min(one, 100 - one) for one in apart]
@@ -51,7 +48,7 @@ def test_only_passes_and_curls_have_a_strand_to_pass(
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_strand_is_passed_at_a_height_above_or_below_it(rope: Rope, side: int) -> None:
     rng = np.random.default_rng(0)
-    macro_action = pass_strand(rope.loop(), 10, 60, side, rng)
+    macro_action = MacroAction.passing(rope.loop(), Pass(10, 60, side), rng)
     assert np.allclose(macro_action.waypoints[:2, 2], side * LIFT)
     assert macro_action.waypoints[2, 2] == pytest.approx(0)
 
@@ -59,7 +56,7 @@ def test_a_strand_is_passed_at_a_height_above_or_below_it(rope: Rope, side: int)
 def test_a_pass_ends_beyond_the_strand(rope: Rope) -> None:
     points, rng = rope.loop(), np.random.default_rng(1)
     for _ in range(50):
-        macro_action = pass_strand(points, 10, 30, 1, rng)
+        macro_action = MacroAction.passing(points, Pass(10, 30, 1), rng)
         led = np.linalg.norm(macro_action.waypoints[1, :2] - points[10, :2])
         assert led > np.linalg.norm(points[30, :2] - points[10, :2])
 
@@ -95,7 +92,10 @@ def test_a_bead_is_led_to_its_last_waypoint(rope: Rope) -> None:
         force = follower.forces(simulation.points, ids) * simulation.max_force
         simulation.step(follower.beads, force)
         pulls += 1
-    assert np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < ARRIVED and pulls < 15
+    assert (
+        np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < WaypointFollower.ARRIVED
+        and pulls < 15
+    )
 
 
 def test_passes_without_chance_lead_over_their_strands(rope: Rope) -> None:
@@ -110,12 +110,3 @@ def test_passes_without_chance_lead_over_their_strands(rope: Rope) -> None:
     rise = np.array([1, -1]) * STRAIGHT_LIFT / RISE
     level = (forces[:, :2] * ahead[:, :2]).sum(axis=1) / np.linalg.norm(ahead, axis=1)
     assert np.allclose(forces[:, 2] / level, rise, rtol=0.05)
-
-
-def test_cumulative_shares_draw_as_generators_choose() -> None:
-    for seed in range(300):
-        weights = np.random.default_rng(seed).random(1 + seed % 40) ** 4
-        rng, other = np.random.default_rng(seed), np.random.default_rng(seed)
-        drawn = cumulative_shares(weights).searchsorted(rng.random(), side="right")
-        assert drawn == other.choice(len(weights), p=weights / weights.sum())
-        assert rng.bit_generator.state == other.bit_generator.state

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from knotgym.rope.closed_curves import noised, start_qpos
 from knotgym.rope.model import Rope
-from knotgym.rope.reset_noise import noised, start_qpos
 from knotgym.states import States, read_states, shipped
 from knotgym.topology import GaussCode, label, label_many
 

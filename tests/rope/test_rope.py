@@ -17,7 +17,7 @@ from knotgym.common import InvalidInput, configuration
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.closed_curves import _add_solution, clearance
 from knotgym.rope.interface import Simulation
-from knotgym.rope.model import Rope, RopeConfig, rope_of, sub_chains
+from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import label
@@ -52,9 +52,9 @@ class Rubbing(RopeConfig):
 def test_a_new_parameter_leaves_files_readable_where_it_changes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("knotgym.rope.model.RopeConfig", Rubbing)
-    assert isinstance(rope_of(100), Rubbing)
-    assert rope_of(100).fingerprint == read_states(shipped()).attributes["rope"] == PUBLISHED
+    monkeypatch.setattr(RopeConfig, "of", Rubbing.of)
+    assert isinstance(RopeConfig.of(100), Rubbing)
+    assert RopeConfig.of(100).fingerprint == read_states(shipped()).attributes["rope"] == PUBLISHED
     gym.make("knotgym/Tie-v0", nx=1, engine="chain").reset(seed=0)
     assert Rubbing(length=2.0).fingerprint == RopeConfig(length=2.0).fingerprint
     assert len({Rubbing(friction=x).fingerprint for x in (0.0, 0.1, 0.2)}) == 3
@@ -90,7 +90,7 @@ def test_model_has_the_published_physics(rope: Rope) -> None:
 
 
 def test_sub_chains_cover_the_loop_once() -> None:
-    chains = sub_chains(RopeConfig())
+    chains = RopeConfig().chains
     assert [bead for first, last in chains for bead in range(first, last + 1)] == list(range(100))
 
 

@@ -18,7 +18,7 @@ from knotgym.control import (
 )
 from knotgym.datasets import Episodes, write_episodes
 from knotgym.envs import EpisodeBatch, KnotEnv, TaskConfig
-from knotgym.rope.towing import TowBound, centres, distances_towed
+from knotgym.rope.actions import TowBound
 
 from ..envs.test_env import goal_is_shown
 
@@ -43,9 +43,8 @@ def towed(states_path: str) -> Episodes:
 
 def test_a_rope_is_as_far_as_its_centre() -> None:
     square = np.array([[[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]]], dtype=np.float64)
-    assert np.array_equal(centres(square), [[1, 1, 0]])
-    assert distances_towed(square + [0, 3, 4], centres(square)) == 5
-    bound = TowBound(centres(square)[0], 4.0)
+    assert np.array_equal(TowBound.centres(square), [[1, 1, 0]])
+    bound = TowBound(TowBound.centres(square)[0], 4.99)
     assert bound.exceeded(np.concatenate([square, square + [0, 3, 4]])).tolist() == [False, True]
 
 
@@ -53,8 +52,8 @@ def test_an_episode_ends_at_the_first_state_beyond_and_pays_for_failing(towed: E
     for number in range(2):
         steps = towed.select([number]).steps
         points = steps["observation"].astype(np.float64)
-        far = distances_towed(points, centres(points[:1]))
-        assert (far[:-1] <= LIMIT).all() and far[-1] > LIMIT and len(far) < 50
+        far = TowBound(TowBound.centres(points[:1]), LIMIT).exceeded(points)
+        assert not far[:-1].any() and far[-1] and len(far) < 50
         assert steps["truncated"][-2] and not steps["terminated"].any()
         assert steps["reward"].tolist() == [*[0.0] * (len(far) - 2), -5.0, 0.0]
 
@@ -74,7 +73,7 @@ def test_without_a_bound_a_rope_is_towed_anywhere(states_path: str) -> None:
     for _ in range(8):
         _, _, truncated = episodes.act(TOW[None], only)
         assert not truncated[0]
-    assert distances_towed(episodes.simulation.points, episodes.centre)[0] > LIMIT
+    assert TowBound(episodes.centre, LIMIT).exceeded(episodes.simulation.points)[0]
     assert episodes.tow_bound(0) is None
 
 
@@ -82,7 +81,7 @@ def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:
     played = rollouts(PassPlanner(), bounded(states_path, nx=1, engine="chain"), [1])
     points = played.steps["observation"].astype(np.float64)
     assert played.episodes["success"].all()
-    assert distances_towed(points, centres(points[:1])).max() <= LIMIT
+    assert not TowBound(TowBound.centres(points[:1]), LIMIT).exceeded(points).any()
 
 
 def test_a_dataset_with_a_bound_is_verified(states_path: str, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.common import InvalidInput
-from knotgym.rope import MujocoSimulation
+from knotgym.rope import MUJOCO, simulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import notation
 from knotgym.topology.crossings import label_many
@@ -176,11 +176,11 @@ def test_states_that_ship_have_the_codes_of_their_gauss_code() -> None:
 
 def rope_codes(count: int) -> list[GaussCode]:
     """Codes of ropes that random actions tangled."""
-    simulation, rng = MujocoSimulation(50, threads=0), np.random.default_rng(40)
+    ropes, rng = simulation(MUJOCO, 50, threads=0), np.random.default_rng(40)
     found: list[GaussCode] = []
     while len(found) < count:
-        simulation.act(rng.uniform(-1, 1, (50, 6)).astype(np.float32))
-        found += [code for code in label_many(simulation.points) if code.nx]
+        ropes.act(rng.uniform(-1, 1, (50, 6)).astype(np.float32))
+        found += [code for code in label_many(ropes.points) if code.nx]
     return found[:count]
 
 

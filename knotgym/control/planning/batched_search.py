@@ -28,7 +28,6 @@ from knotgym.rope import (
     Rope,
     TowBound,
     WaypointFollower,
-    distances_towed,
 )
 from knotgym.topology import GaussCode, label_many
 
@@ -260,7 +259,7 @@ class BatchedSearch:
         self._lost[ids] = ~stable
         # most tasks have no limit on towing, and centres of all ropes would be computed for nothing
         if np.isfinite(self._reach[ids]).any():
-            self._lost[ids] |= distances_towed(points, self._origin[ids]) > self._reach[ids]
+            self._lost[ids] |= TowBound(self._origin[ids], self._reach[ids]).exceeded(points)
         over = (follower.arrive(ropes.points, ids) & ~hauled) | self._lost[ids]
         over |= self._pulls[ids] >= self._limit[ids]
         news = over.copy()

@@ -19,7 +19,7 @@ import numpy as np
 
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.planning.sights import first_goal, see
-from knotgym.rope import Array, MacroAction, cumulative_shares, pass_strand, propose
+from knotgym.rope import Array, MacroAction
 from knotgym.topology import GaussCode, images
 
 # Tried at tie nx 3 in the chain, 64 episodes, all solved: 544 pulls simulated for an episode; 685
@@ -72,10 +72,9 @@ class Guide:
             (sight,) = see(points[None])
             found = [*islice(self._values.passes(self._goal, sight), _BEST)]
             if found:
-                shares = cumulative_shares(np.array([worth for _, worth in found]))
-                move, _ = found[int(shares.searchsorted(rng.random(), side="right"))]
-                return pass_strand(points, move.bead, move.target, move.side, rng)
-        return propose(points, rng)
+                move, _ = found[drawn_index(np.array([worth for _, worth in found]), rng)]
+                return MacroAction.passing(points, move, rng)
+        return MacroAction.drawn(points, rng)
 
     def _chance(self, code: GaussCode) -> float:
         """The chance to reach the goal; 0 if none is known, 1 if the code is the goal's."""
@@ -88,3 +87,12 @@ class Guide:
 def guide_to(goal: GaussCode, values: PassValues) -> Guide:
     """The guide to a goal, which is given without chirality."""
     return Guide(values, goal)
+
+
+def drawn_index(weights: Array, rng: np.random.Generator) -> int:
+    """Draw an index with probability proportional to its weight."""
+    # `Generator.choice` draws the same index from the same number of the stream, but its checks of
+    # the arguments take far longer.
+    shares = (weights / weights.sum()).cumsum()
+    # divided again, as `choice` does: rounding may leave the last sum a little off 1
+    return int((shares / shares[-1]).searchsorted(rng.random(), side="right"))

@@ -15,7 +15,7 @@ from knotgym.control.planning.passes import PassPlan, random_pass
 from knotgym.control.planning.planners import SLOTS, ChoosesPulls, Ids, PassPlanner, PassPlayer
 from knotgym.control.sampler import Player, Policy, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import LONGEST, Array, MacroAction, Pass, WaypointFollower, propose, quantized
+from knotgym.rope import LONGEST, Array, MacroAction, Pass, WaypointFollower, quantized
 from knotgym.topology import GaussCode
 
 _WANDERING = 0.5  # share of noisy episodes that begin with a random pass; not measured
@@ -55,7 +55,7 @@ class ScriptedPlayer(Player):
         points, follower = self._batch.simulation.points, self._follower
         idle = ids[follower.arrive(points, ids)]
         # drawn lane by lane, each from its own generator: who else is idle changes nothing
-        new = {k: propose(points[k], self._rngs[k]) for k in idle.tolist()}
+        new = {k: MacroAction.drawn(points[k], self._rngs[k]) for k in idle.tolist()}
         if new:
             follower.begin(idle, [*new.values()])
             follower.arrive(points, idle)

@@ -25,18 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
-from knotgym.control.planning.guidance import Guide, guide_to
+from knotgym.control.planning.guidance import Guide, drawn_index, guide_to
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.policy_config import PullPlannerConfig
-from knotgym.rope import (
-    Array,
-    Haul,
-    MacroAction,
-    Simulation,
-    TowBound,
-    cumulative_shares,
-    propose_haul,
-)
+from knotgym.rope import Array, Haul, MacroAction, Simulation, TowBound
 from knotgym.topology import GaussCode, label
 
 # Hauls, tried on the hard unknots of notes/drawing.md: without them 0 of 64 Culprits came undone.
@@ -152,11 +144,11 @@ class _Pool:
             / (1 + self._tries / _WEARINESS)
             * np.exp(-(late - late.min()) / _PATIENCE)
         )
-        row = _drawn(weights, rng)
+        row = drawn_index(weights, rng)
         # among the code's states: early ones, and ones tried less often
         nodes = self._nodes[row]
         fresh = [np.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in nodes]
-        node = nodes[_drawn(np.array(fresh), rng)]
+        node = nodes[drawn_index(np.array(fresh), rng)]
         node.tries += 1
         self._tries[row] += 1
         return node
@@ -256,7 +248,7 @@ class PullSearch:
             at = begun[slot] = pool.choose(rng)
             move: MacroAction | Haul
             if hauling and at.code.nx >= _HAULED_NX and rng.random() < _HAULS:
-                move = propose_haul(len(at.points), rng)
+                move = Haul.drawn(len(at.points), rng)
                 longest = move.steps
             else:
                 move, longest = guide.propose(at.points, rng), _LONGEST
@@ -338,8 +330,3 @@ def _plan_to(node: _Node, solved: bool, spent: int) -> PullPlan:
         line.append(line[-1].before)
     pulls = [one.beads for one in line[::-1]], [one.forces for one in line[::-1]]
     return PullPlan(np.concatenate(pulls[0]), np.concatenate(pulls[1]), solved, spent)
-
-
-def _drawn(weights: Array, rng: np.random.Generator) -> int:
-    """Draw an index with probability proportional to its weight."""
-    return int(cumulative_shares(weights).searchsorted(rng.random(), side="right"))

@@ -199,9 +199,9 @@ class GenerateConfig:
     @property
     def rope(self) -> RopeConfig:
         """The rope."""
-        from knotgym.rope import rope_of
+        from knotgym.rope import RopeConfig
 
-        return rope_of(self.beads)
+        return RopeConfig.of(self.beads)
 
     @property
     def engine_used(self) -> str:

@@ -31,14 +31,7 @@ from knotgym.common import InvalidInput, Stream, inner
 from knotgym.generate.states.curve_files import Curve, read_curves
 from knotgym.generate.states.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import UNITS, Limits, Quality
-from knotgym.rope import (
-    Array,
-    Rope,
-    RopeConfig,
-    Simulation,
-    require_embedded,
-    simulation_of,
-)
+from knotgym.rope import Array, Rope, RopeConfig, Simulation, simulation_of
 from knotgym.states import States
 from knotgym.topology import UNKNOWN, GaussCode, knot_type, label, possible_types
 
@@ -123,8 +116,7 @@ def _shown_code(curve: Array, rope: Rope) -> GaussCode:
     Raises:
         InvalidInput: it is no embedded closed curve, or too intricate for the rope.
     """
-    laid = rope.from_curve(curve, max_overlap=np.inf)
-    require_embedded(curve)
+    laid = rope.from_curve(curve, max_overlap=np.inf, embedded=True)
     code = label(curve, most=rope.config.beads)
     if label(laid) != code:
         raise InvalidInput(

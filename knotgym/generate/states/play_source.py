@@ -35,7 +35,7 @@ from knotgym.generate.states.state_rows import (
     with_report,
     without_report,
 )
-from knotgym.rope import Array, Rope, decode_actions, drawn_actions, quantized
+from knotgym.rope import Array, Rope, drawn_actions, quantized
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import STATE_SPLITS, source_of
 from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
@@ -189,8 +189,8 @@ class _PhasePlayer(Player):
 
     def _random(self, ids: Ids) -> BeadsAndForces:
         actions = self._drawn[ids, self._batch.steps[ids]]
-        points, rope = self._simulation.points[ids], self._simulation.rope.config
-        return decode_actions(actions, points, rope)[0], actions[:, 3:]
+        beads, _ = self._simulation.read_actions(actions, ids)
+        return beads, actions[:, 3:]
 
     def _open(self, ids: Ids) -> BeadsAndForces:
         """Pull a random bead of each rope away from the rope's middle."""

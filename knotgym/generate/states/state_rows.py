@@ -20,7 +20,7 @@ import knotgym
 from knotgym.common import Table
 from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rendering import draw_many, picture_of
-from knotgym.rope import Array, rope_of
+from knotgym.rope import Array, RopeConfig
 from knotgym.runs import Result
 from knotgym.states import NEAR, STATES, RopeAtRest, Spectra, States, distances, pairs_within
 from knotgym.topology import UNKNOT, GaussCode, find_crossings, pyknotid_code, shows
@@ -128,7 +128,7 @@ def states_of(
     attributes = {
         "knotgym": knotgym.__version__,
         "mujoco": mujoco.__version__,
-        "rope": rope_of(points.shape[1]).fingerprint,
+        "rope": RopeConfig.of(points.shape[1]).fingerprint,
         "engine": engine,
         "config": config,
     }

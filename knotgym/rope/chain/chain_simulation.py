@@ -8,7 +8,7 @@ After a change run `pytest tests/rope/chain/test_chain_simulation.py`: beads end
 MuJoCo's after an action, and the same states lead to the same bytes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -21,7 +21,7 @@ from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
 from knotgym.rope.interface import Ids, Simulation
-from knotgym.rope.model import Array, Rope, sub_chains
+from knotgym.rope.model import Array, Rope
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
 SIDE = slice(layout.SIDE, layout.SPUN)
@@ -30,7 +30,6 @@ SIDE = slice(layout.SIDE, layout.SPUN)
 # floor leaves 2.5 mm between two axes for the proof of passage.
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters
-_TICKS = TICKS * sum(SCHEDULE)  # of an action
 _WEIGHT = float.fromhex("0x1.d0df64e796899p+8")  # inverse masses of two beads, 1/kg; see `_settled`
 
 
@@ -39,9 +38,13 @@ class ChainSimulation(Simulation):
 
     An action is carried out with its full force until no substep can be proved safe; the rest of it
     is taken back. Its applied share is the fraction of its time that was carried out.
+
+    Attributes:
+        schedule: int (k,), see `solver.SCHEDULE`; a part of it carries out that part of an action.
     """
 
     engine = "chain"
+    schedule: Sequence[int] = SCHEDULE
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)
@@ -127,16 +130,18 @@ class ChainSimulation(Simulation):
         where = self._all(ids)
         pulled = np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
-        schedule = np.array(SCHEDULE, dtype=np.int64)
+        schedule = np.array(self.schedule, dtype=np.int64)
         counts = np.zeros((len(where), len(layout.COUNTS)), dtype=np.int64)
         ropes = self._states, self.points, where, pulled, forces, self._physics
-        action = self.rope.config.timestep * self.rope.config.frame_skip, schedule
+        whole, part = self.rope.config.timestep * self.rope.config.frame_skip, schedule.sum()
+        action = whole * (part / sum(SCHEDULE)), schedule
         taken = np.zeros(1, dtype=np.int64)
         # No rope's result depends on those beside it, so any thread may take any of them.
         self.threads.spread(
             lambda _: advance(*ropes, *action, counts, taken), len(where), LANES, meanwhile
         )
-        self.applied_shares[where] = (_TICKS - counts[:, layout.LOST]) / _TICKS
+        ticks = TICKS * part
+        self.applied_shares[where] = (ticks - counts[:, layout.LOST]) / ticks
         return counts[:, layout.BLOWN_UP] == 0
 
 
@@ -150,7 +155,7 @@ def physics_of(rope: Rope) -> layout.Physics:
     damping = np.full(config.beads, config.joint_damping)
     # no joint where MuJoCo joins two sub-chains, and none at vertex 0, where `banded` cuts the
     # loop
-    damping[[first for first, _ in sub_chains(config)]] = 0.0
+    damping[[first for first, _ in config.chains]] = 0.0
     # a contact of two beads far from the ends of their sub-chains
     geom = int(model.body_geomadr[body])
     constant, impedance = float(model.geom_solref[geom, 0]), float(model.geom_solimp[geom, 1])

@@ -88,22 +88,22 @@ def _teach(function: Any, arguments: int, emit: Callable[..., Any]) -> None:
     # A class for each function, as Numba hangs the function on the class that it registers.
     infer_global(function)(type("_LaneByLane", (_LaneByLane,), {}))
 
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def _lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return emit(builder, *args)
 
-    lower_builtin(function, *[Lanes] * arguments)(lower)
+    lower_builtin(function, *[Lanes] * arguments)(_lower)
 
 
 def _of_one(name: str) -> Callable[..., Any]:
     """A function of LLVM's that takes lanes."""
 
-    def emit(builder: Any, value: Any) -> Any:
+    def _emit(builder: Any, value: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
         # LLVM's vector intrinsics, such as llvm.sqrt.v4f64; one instruction where there is one.
         function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
         return builder.call(function, [value])
 
-    return emit
+    return _emit
 
 
 def _larger(builder: Any, one: Any, other: Any) -> Any:
@@ -153,71 +153,71 @@ def _at(array: Any, place: Any) -> Any:
 def load(typing: Any, array: Any, place: Any) -> Any:
     """The lanes at `array[place]`, a place being a tuple of indices, none of them negative."""
 
-    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def _emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, sig.args[0], *args)
         # Arrays of NumPy are aligned to one number only, not to a vector.
         return builder.load(pointer, align=_ITEM)
 
-    return _LANES(array, _at(array, place)), emit
+    return _LANES(array, _at(array, place)), _emit
 
 
 @intrinsic
 def put(typing: Any, array: Any, place: Any, value: Any) -> Any:
     """Write lanes, or one number into all of them, to `array[place]`."""
 
-    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def _emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, sig.args[0], *args[:2])
         # The value is `Lanes` already: a plain number was cast by `_spread`.
         builder.store(args[2], pointer, align=_ITEM)
         return context.get_dummy_value()
 
-    return types.void(array, _at(array, place), _LANES), emit
+    return types.void(array, _at(array, place), _LANES), _emit
 
 
 @intrinsic
 def fma(typing: Any, one: Any, other: Any, added: Any) -> Any:
     """Return one * other + added, rounded once: the same on every processor."""
 
-    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def _emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
         # LLVM promises one rounding, and calls a function of libm where a processor has no such
         # instruction: slower there, with the same bits.
         function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64")
         return builder.call(function, args)
 
-    return _LANES(_LANES, _LANES, _LANES), emit
+    return _LANES(_LANES, _LANES, _LANES), _emit
 
 
 @intrinsic
 def where_below(typing: Any, value: Any, bound: Any, below: Any, otherwise: Any) -> Any:
     """Take lanes of `below` where value < bound, of `otherwise` elsewhere (also at a NaN)."""
 
-    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def _emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[2], args[3])
 
-    return _LANES(_LANES, _LANES, _LANES, _LANES), emit
+    return _LANES(_LANES, _LANES, _LANES, _LANES), _emit
 
 
 @intrinsic
 def any_below(typing: Any, value: Any, bound: Any) -> Any:
     """Whether some lane is less than a number."""
 
-    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def _emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         below = builder.fcmp_ordered("<", args[0], args[1])
         # A vector of LANES booleans read as an integer of as many bits.
         bits = builder.bitcast(below, ir.IntType(LANES))
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
-    return types.boolean(_LANES, _LANES), emit
+    return types.boolean(_LANES, _LANES), _emit
 
 
 @intrinsic
 def count_up(typing: Any, count: Any) -> Any:
     """Return the number in an array int64 (1,), and add 1 to it, both at once for all threads."""
 
-    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def _emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         held = context.make_array(sig.args[0])(context, builder, args[0])
         one = ir.Constant(ir.IntType(64), 1)
         return builder.atomic_rmw("add", held.data, one, "monotonic")
 
-    return types.int64(count), emit
+    return types.int64(count), _emit

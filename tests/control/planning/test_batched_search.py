@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning.batched_search import BatchedSearch, Orders, Report, Search, Trial
-from knotgym.rope import Pass, TowBound, propose_haul
+from knotgym.rope import Haul, Pass, TowBound
 from knotgym.topology import GaussCode
 
 KINK = GaussCode.parse("1+c,1-c")
@@ -72,7 +72,7 @@ def test_a_watched_trial_reports_every_change_and_its_pulls(ropes: BatchedSearch
 
 
 def test_a_haul_pulls_two_beads_in_turn(ropes: BatchedSearch) -> None:
-    haul = propose_haul(100, np.random.default_rng(1))
+    haul = Haul.drawn(100, np.random.default_rng(1))
     trial = Trial(START[0], haul, haul.steps, KINK, watch=True)
     ((_, reports),) = ropes.run([one_trial(trial)])
     assert reports[-1].beads.tolist() == [haul.pull(step)[0] for step in range(haul.steps)]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning import pass_values, see
-from knotgym.control.planning.guidance import guide_to
+from knotgym.control.planning.guidance import drawn_index, guide_to
 from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.passes import PassValues
 from knotgym.rope import Array
@@ -39,3 +39,12 @@ def test_most_macro_actions_are_of_the_best_passes(curve: Array) -> None:
     passes = {(move.bead, move.target, move.side) for move, _ in best[:8]}
     led = sum((one.bead, one.target, one.side) in passes for one in made)
     assert (130 < led < 190) if best else led == 0
+
+
+def test_an_index_is_drawn_as_generators_choose() -> None:
+    for seed in range(300):
+        weights = np.random.default_rng(seed).random(1 + seed % 40) ** 4
+        rng, other = np.random.default_rng(seed), np.random.default_rng(seed)
+        drawn = drawn_index(weights, rng)
+        assert drawn == other.choice(len(weights), p=weights / weights.sum())
+        assert rng.bit_generator.state == other.bit_generator.state
