@@ -29,14 +29,15 @@ from knotgym.datasets import (
     STEPS,
     Episodes,
     MinariMetadata,
+    locate,
     open_episodes,
     publish,
-    state_card_tables,
+    summary,
 )
 from knotgym.envs import TaskConfig
 from knotgym.quality import UNITS
 from knotgym.rendering import APPEARANCES
-from knotgym.states import SETS, read_states, shipped, write_states
+from knotgym.states import SETS, write_states
 
 from .scripts import ROOT
 from .small_job import knotgym as knotgym_command
@@ -393,8 +394,7 @@ def test_the_citation_has_the_version_of_the_package() -> None:
 )
 def test_what_train_and_test_share_is_as_computed(name: str) -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]
-    states = read_states(shipped(name), images=False)
-    for row in state_card_tables(states, {})["train and test"].rows:
+    for row in summary(locate(name))[1]["train and test"].rows:
         assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
 
 

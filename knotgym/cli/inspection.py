@@ -1,7 +1,6 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from textwrap import TextWrapper, fill
@@ -15,17 +14,12 @@ from knotgym.common import Failed, InvalidInput, atomic_write, one_line, require
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
     CardTable,
-    drawn_episodes,
     expanded,
-    image_card_tables,
     in_words,
     locate,
     open_episodes,
-    read_manifest,
-    read_table,
-    shards,
     show_episodes,
-    state_card_tables,
+    summary,
     try_files,
 )
 from knotgym.generate import Result, is_entry, read_entry, replayed, result_of
@@ -51,13 +45,14 @@ def show(named: str, console: Console) -> None:
     if print_transcripts(named, console):
         return
     found = locate(named)
-    if found.pictures:
-        _print_images(found.pictures, console)
-    elif found.states:
-        _print_states(named, found.states, console)
-    else:
+    if found.kind == "episodes":
         for one in found.episodes:
             _print_facts(show_episodes(one), console)
+        return
+    lines, tables = summary(found)
+    for line in [f"{named}: {lines[0]}", *lines[1:]]:
+        _say(console, line)
+    _print_tables(tables, console)
 
 
 def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
@@ -94,19 +89,7 @@ def checked(named: str, sample: int = 0) -> str:
     if is_entry(resolve(named)):
         entry = read_entry(resolve(named))
         return f"{entry.rows.rows} episodes of {len(entry.pulls['bead'])} pulls, all replayed"
-    found, counts = locate(named), Counter[str]()
-    if found.pictures:
-        counts["pictures"] = len(read_table(found.pictures, columns=["nx"]))
-    if found.states:
-        counts["Gauss codes"] = len(read_states(found.states, images=False))
-    for one in found.episodes:
-        own = drawn_episodes(whole := open_episodes(one), sample).episodes.episodes
-        counts["demonstrations" if found.states else "episodes"] += own.rows
-        if own.rows < (rows := whole.episodes.episodes.rows):
-            # no fault in n: with 95 % confidence at most 3 / n are wrong, the rule of three
-            counts[f"drawn of {rows} (95 % sure: under {300 / own.rows:.2g} % wrong)"] = own.rows
-        counts["steps replayed"] += int(own["length"].sum())
-    counts["checksums"] = len(read_manifest(found.root)[0].get("files", {}))
+    counts = locate(named).counts(sample)
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
@@ -169,25 +152,6 @@ def _episode_film(path: Path, row: int) -> tuple[list[Image], int, str]:
 def _require_row(row: int, count: int) -> None:
     if row >= count:
         raise InvalidInput(f"there is no row {row}; the dataset has {count} rows, counted from 0")
-
-
-def _print_states(path: str, file: Path, console: Console) -> None:
-    """Print a summary of a state file and of the run in its folder's manifest."""
-    states = read_states(file, images=False)
-    report = read_manifest(file.parent)[0].get("report", {})
-    _say(console, f"{path}: {len(states)} states")
-    if "policy" in states.source:
-        made = sorted(Counter(states.source["policy"].tolist()).items())
-        _say(console, f"sources: {', '.join(f'{policy} {count}' for policy, count in made)}")
-    _print_tables(state_card_tables(states, report), console)
-
-
-def _print_images(path: Path, console: Console) -> None:
-    """Print a summary of a perception table."""
-    size = sum(shard.stat().st_size for shard in shards(path))
-    count = len(read_table(path, columns=["nx"]))
-    _say(console, f"{path}: {count} pictures, {size / count:.0f} bytes each")
-    _print_tables(image_card_tables(path), console)
 
 
 def print_transcripts(path: str | Path, console: Console) -> bool:

@@ -13,24 +13,13 @@ import numpy as np
 from knotgym.common import Stream
 from knotgym.control.recorded_policy import RecordedPolicy
 from knotgym.control.sampler import rollouts
-from knotgym.datasets import (
-    Count,
-    Episodes,
-    ReplayFault,
-    drawn_episodes,
-    folder_faults,
-    locate,
-    open_episodes,
-    state_faults,
-    uncounted,
-    verify_episodes,
-)
+from knotgym.datasets import Episodes, ReplayFault, faults, locate, open_episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.states import read_states
 
 _LANES = 256
 _MOST_EPISODES = 10_000_000
 _ROUNDING = 1e-9  # m and 1: other processors round the noise of a reset differently
+Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
 
@@ -60,13 +49,13 @@ def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
 def dataset_faults(
     source: str | os.PathLike[str],
     each: Map = map,
-    count: Count = uncounted,
+    count: Count = lambda *_: None,
     sample: int = 0,
 ) -> Iterator[str]:
     """Yield the faults that `verify` lists, each as soon as it is found.
 
     If only replays differ, a last line says that machines round differently. `each` replaces `map`
-    and may run in parallel, see `image_faults`.
+    and may run in parallel, for files of pictures.
     """
     elsewhere, wrong = False, False
     for fault in _faults(source, each, count, sample):
@@ -82,24 +71,17 @@ def dataset_faults(
 
 def _faults(source: str | os.PathLike[str], each: Map, count: Count, sample: int) -> Iterator[str]:
     found = locate(os.fspath(source))
-    if found.pictures:
-        # imported here, because only this check needs pyarrow
-        from knotgym.datasets import image_faults
-
-        yield from image_faults(found.pictures, each, count)
-    elif found.states and found.root.is_dir():
-        yield from folder_faults(found.root, replay, count)
-    elif found.states:
-        yield from state_faults(read_states(found.states), count)
-    else:
-        for one in found.episodes:
-            faults = [*verify_episodes(one, replay, count=count, sample=sample)]
-            yield from faults or _start_faults(one, sample)
+    if found.kind != "episodes":
+        yield from faults(found, replay, each, count)
+        return
+    for one in found.episodes:
+        own = [*faults(found._replace(episodes=(one,)), replay, each, count, sample)]
+        yield from own or _start_faults(one, sample)
 
 
 def _start_faults(source: Path, sample: int) -> Iterator[str]:
     """Yield episodes of a collection that don't begin as the seeds of its run say."""
-    dataset = drawn_episodes(open_episodes(source), sample)
+    dataset = open_episodes(source).drawn(sample)
     run, rows = dataset.attributes.get("run"), dataset.episodes.episodes
     config = run.get("config") if isinstance(run, dict) else None
     if not isinstance(config, dict):
@@ -127,7 +109,7 @@ def _start_faults(source: Path, sample: int) -> Iterator[str]:
             "its seed draws another goal": batch.goal_row != own["goal"],
             "its seed draws another noise of the start": off > _ROUNDING,
         }
-        for row, faults in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):
-            if any(faults):
+        for row, found in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):
+            if any(found):
                 number = dataset.numbers[row]
-                yield f"{dataset.path}, episode {number}: {[*wrong][faults.index(True)]}"
+                yield f"{dataset.path}, episode {number}: {[*wrong][found.index(True)]}"

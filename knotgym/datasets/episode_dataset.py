@@ -39,6 +39,7 @@ from knotgym.common import (
     InvalidInput,
     KnotgymError,
     MissingFile,
+    Stream,
     Table,
     as_json,
     from_json,
@@ -123,6 +124,15 @@ class EpisodeDataset:
         """Return the dataset with some of its episodes, by a mask or by their numbers."""
         chosen = self.numbers[np.asarray(rows) if np.size(rows) else slice(0)]
         return replace(self, episodes=self.episodes.select(rows), rows=chosen)
+
+    def drawn(self, sample: int) -> "EpisodeDataset":
+        """Return so many episodes, drawn from a generator of their content; 0 for all."""
+        rows = self.episodes.episodes.rows
+        if not 0 < sample < rows:
+            return self
+        content = int(digests_of([self.episodes])["digest"][:12], 16)
+        rng = Stream.CHECKED_EPISODES.generator(content)
+        return self.select(np.sort(rng.choice(rows, sample, replace=False)))
 
     @property
     def found_task(self) -> TaskConfig:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
+from knotgym.common import InvalidFile, KnotgymError, MissingFile, as_json, one_line
 from knotgym.datasets.episode_dataset import (
     EpisodeDataset,
     digests_of,
@@ -111,7 +111,7 @@ def verify_episodes(
         return
     yield from split_faults(dataset)
     yield from duplicate_faults(dataset)
-    dataset = drawn_episodes(dataset, sample)
+    dataset = dataset.drawn(sample)
     try:
         columns = expanded(dataset, replay, count)
         for fault in columns.episodes.differences(dataset.episodes, dataset.numbers):
@@ -123,16 +123,6 @@ def verify_episodes(
         yield f"{dataset.path}, {fault}"
     if not dataset.episodes.is_recording and dataset.rows is None:
         yield from minari_faults(dataset)
-
-
-def drawn_episodes(dataset: EpisodeDataset, sample: int) -> EpisodeDataset:
-    """Return a dataset of so many episodes, drawn from a generator of its content; 0 for all."""
-    rows = dataset.episodes.episodes.rows
-    if not 0 < sample < rows:
-        return dataset
-    content = int(digests_of([dataset.episodes])["digest"][:12], 16)
-    rng = Stream.CHECKED_EPISODES.generator(content)
-    return dataset.select(np.sort(rng.choice(rows, sample, replace=False)))
 
 
 def show_episodes(source: Any) -> dict[str, Any]:

@@ -8,7 +8,8 @@ import pytest
 
 from knotgym.cli.options import field_help
 from knotgym.common import InvalidInput
-from knotgym.datasets import decode, image_faults, read_rows
+from knotgym.control import dataset_faults
+from knotgym.datasets import decode, read_rows
 from knotgym.envs import TaskConfig
 from knotgym.generate import ImagesConfig, make_images
 from knotgym.rendering import APPEARANCES, AppearanceConfig, AppearanceKind, Drawer
@@ -43,7 +44,7 @@ def test_an_appearance_is_added_by_one_record(
     for row in read_rows(folder):
         assert row["appearance"]["name"] == "negative" and row["appearance"]["turn"] != 0
         assert decode(row["image"]).shape == (96, 96, 3) and (decode(row["image"])[0] == 255).all()
-    assert [*image_faults(folder)] == []
+    assert [*dataset_faults(folder)] == []
     assert "`negative`, on white" in (folder / "README.md").read_text(encoding="utf-8")
     # an environment
     env = gym.make("knotgym/Tie-v0", nx=1, appearance="negative", image_size=64, engine="chain")

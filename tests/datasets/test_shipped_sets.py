@@ -3,11 +3,13 @@
 from collections import Counter
 
 import gymnasium
+import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, InvalidInput
+from knotgym.datasets.state_verification import state_faults
 from knotgym.envs import KnotEnv
-from knotgym.states import States, read_states, shipped
+from knotgym.states import SETS, States, read_states, shipped
 from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, shows
 
 
@@ -63,3 +65,17 @@ def test_the_unknot_task_begins_with_one(nx: int) -> None:
 def test_their_missing_train_split_is_refused_with_the_one_there_is() -> None:
     with pytest.raises(InvalidInput, match=r"it has nx 7 \(test\)"):
         KnotEnv("unknot", nx=7, states="hard-unknots")
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_shipped_states_are_without_fault_in_some_rows(name: str) -> None:
+    states = read_states(shipped(name), images=name != "bench")
+    shortest = np.argsort(states.source["steps"], kind="stable")[:2]
+    assert list(state_faults(states.take(shortest))) == []
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", SETS)
+def test_shipped_states_are_without_fault(name: str) -> None:
+    states = read_states(shipped(name), images=name != "bench")
+    assert list(state_faults(states)) == []

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from knotgym.common import Failed, InvalidFile
+from knotgym.control import dataset_faults
 from knotgym.datasets import (
     COLUMNS,
     PictureRow,
     arrow,
     decode,
-    image_faults,
     parquet,
     read_rows,
     read_table,
@@ -86,7 +86,7 @@ def test_pictures_are_as_many_as_asked_for_and_show_their_codes(rows: list[dict[
 
 def test_every_check_passes(folder: Path) -> None:
     told: list[tuple[str, int, int]] = []
-    assert list(image_faults(folder, count=lambda *said: told.append(said))) == []
+    assert list(dataset_faults(folder, count=lambda *said: told.append(said))) == []
     assert {what for what, _, _ in told} == {"files of pictures"}
     assert all(0 <= done <= of for _, done, of in told) and told[-1][1] == told[-1][2] > 0
 
@@ -107,7 +107,7 @@ def test_a_leak_between_splits_is_found(
     test.write_bytes(
         parquet(table_of([{**row, "split": "test"} for row in [*read_rows(test), train]]))
     )
-    found = "\n".join(image_faults(copy))
+    found = "\n".join(dataset_faults(copy))
     assert (
         "SHA-256 differs" in found
         and "near-duplicates" in found
@@ -133,18 +133,18 @@ def test_a_near_duplicate_in_another_split_is_found(
     (tmp_path / "data.parquet").write_bytes(
         parquet(table_of([train, record(planted, AppearanceConfig())]))
     )
-    [fault] = image_faults(tmp_path / "data.parquet")
+    [fault] = dataset_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
 
 
 def test_missing_and_torn_files_are_found(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "copy")
     shards(tmp_path / "copy", "test")[0].unlink()
-    found = list(image_faults(tmp_path / "copy"))
+    found = list(dataset_faults(tmp_path / "copy"))
     assert "data/test-00000-of-00001.parquet is missing" in found
     torn = tmp_path / "torn.parquet"
     torn.write_bytes(shards(folder)[0].read_bytes()[:-100])
-    assert len(list(image_faults(torn))) == 1
+    assert len(list(dataset_faults(torn))) == 1
     for cut in (partial(select, sample=1), partial(split, parts="a=0.5,b=0.5")):
         with pytest.raises(InvalidFile, match=r"torn.parquet"):
             cut(torn, out=tmp_path / "out.parquet")
@@ -226,7 +226,7 @@ def test_pictures_without_marks_hold_out_diagrams(
     splits[: len(splits) // 2] = "test-code"
     spoilt = table.set_column(table.column_names.index("split"), "split", [splits])
     (tmp_path / "spoilt.parquet").write_bytes(parquet(spoilt))
-    assert any("another base" in fault for fault in image_faults(tmp_path / "spoilt.parquet"))
+    assert any("another base" in fault for fault in dataset_faults(tmp_path / "spoilt.parquet"))
 
 
 def test_codes_are_balanced(tmp_path: Path) -> None:
@@ -369,4 +369,4 @@ def test_photos_are_the_same_for_any_workers(tmp_path: Path) -> None:
     one, two = (made(tmp_path / str(n), photos, workers=n) for n in (1, 2))
     for file in one.glob("data/*.parquet"):
         assert file.read_bytes() == (two / "data" / file.name).read_bytes()
-    assert [*image_faults(one)] == []
+    assert [*dataset_faults(one)] == []

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from knotgym.common import Failed, InvalidInput, Stream
-from knotgym.control import replay
-from knotgym.datasets import Episodes, folder_faults, open_episodes
+from knotgym.control import dataset_faults
+from knotgym.datasets import Episodes, open_episodes
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
 from knotgym.generate.states.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
@@ -77,12 +77,12 @@ def test_a_source_is_a_record(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     states = states_in(folder)
     assert states.engine == "chain" and set(states.split.tolist()) == {"train"}
     assert "- `shaken`: drawn and shaken.\n" in (folder / "README.md").read_text()
-    assert list(folder_faults(folder, replay)) == []
+    assert list(dataset_faults(folder)) == []
     # seeds of another stream, and rows of a source that nobody knows, are faults
     monkeypatch.setitem(SOURCES, "shaken", shaken._replace(stream=Stream.IMPORT))
-    assert "is not a key of the stream IMPORT" in next(folder_faults(folder, replay))
+    assert "is not a key of the stream IMPORT" in next(dataset_faults(folder))
     monkeypatch.delitem(SOURCES, "shaken")
-    fault = next(folder_faults(folder, replay))
+    fault = next(dataset_faults(folder))
     assert "source must be one of drawing, play, random-walk, import" in fault
 
 
@@ -117,7 +117,7 @@ def test_states_of_two_sources_are_in_order_and_none_is_near_another(
     states = states_in(folder)
     assert states.nx.tolist() == [2, 2, 0, 0]
     assert states.source["policy"].tolist() == ["drawing"] * 2 + ["play"] * 2
-    assert list(folder_faults(folder, replay)) == []
+    assert list(dataset_faults(folder)) == []
     assert pairs_within(states.points[:2], states.points[2:]) == []
     card = (folder / "README.md").read_text()
     assert (
@@ -129,7 +129,7 @@ def test_states_of_two_sources_are_in_order_and_none_is_near_another(
 def test_every_row_is_recomputed_and_replays_bit_for_bit(
     source: str, request: pytest.FixtureRequest
 ) -> None:
-    assert list(folder_faults(request.getfixturevalue(source), replay)) == []
+    assert list(dataset_faults(request.getfixturevalue(source))) == []
 
 
 @pytest.mark.parametrize("source", ["played", "walked"])

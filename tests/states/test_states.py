@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, InvalidInput, Table
-from knotgym.datasets import state_faults
 from knotgym.generate import judge
 from knotgym.quality import Limits
 from knotgym.states.resolving import SETS, shipped
@@ -130,20 +129,6 @@ def test_vertices_are_laid_the_same_on_processors_with_other_instructions() -> N
         for env in (dict(os.environ), os.environ | narrow)
     ]
     assert told[0].stdout == told[1].stdout != b""
-
-
-@pytest.mark.parametrize("name", SETS)
-def test_shipped_states_are_without_fault_in_some_rows(name: str) -> None:
-    states = read_states(shipped(name), images=name != "bench")
-    shortest = np.argsort(states.source["steps"], kind="stable")[:2]
-    assert list(state_faults(states.take(shortest))) == []
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", SETS)
-def test_shipped_states_are_without_fault(name: str) -> None:
-    states = read_states(shipped(name), images=name != "bench")
-    assert list(state_faults(states)) == []
 
 
 @pytest.mark.parametrize(("name", "nx"), [(s, nx) for s in SETS for nx in (2, 3, 4, 7)])

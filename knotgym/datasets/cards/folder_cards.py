@@ -1,6 +1,7 @@
 """Cards (README.md) of folders of states and of pictures, and the tables of facts in them."""
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,19 @@ from knotgym.datasets.cards import (
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.image_table import GRADES, file_stem, marks_base, read_table, shards
-from knotgym.datasets.manifest import write_manifest
+from knotgym.datasets.located import Located
+from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import UNITS
 from knotgym.rendering import APPEARANCES
-from knotgym.states import IMAGE_SPLITS, STATE_SPLITS, States, overlap, source_of, spread_of
+from knotgym.states import (
+    IMAGE_SPLITS,
+    STATE_SPLITS,
+    States,
+    overlap,
+    read_states,
+    source_of,
+    spread_of,
+)
 from knotgym.topology import GaussCode
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
@@ -38,7 +48,22 @@ _UNMARKED = (
 )
 
 
-def state_card_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
+def summary(found: Located) -> tuple[list[str], dict[str, CardTable]]:
+    """Return what states or pictures are, in lines, and the tables of facts about them by name."""
+    if found.pictures:
+        size = sum(shard.stat().st_size for shard in shards(found.pictures))
+        count = len(read_table(found.pictures, columns=["nx"]))
+        lines = [f"{count} pictures, {size / count:.0f} bytes each"]
+        return lines, _image_tables(found.pictures)
+    states = read_states(found.states, images=False)
+    made = sorted(Counter(states.source.get("policy", np.empty(0, str)).tolist()).items())
+    lines = [f"{len(states)} states"]
+    lines += [f"sources: {', '.join(f'{policy} {count}' for policy, count in made)}"] * bool(made)
+    report = read_manifest(found.folder)[0].get("report", {})
+    return lines, _state_tables(states, report)
+
+
+def _state_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
     """Return the tables of facts about states by name.
 
     `report` is that of the manifest; {} for states without one.
@@ -109,7 +134,7 @@ def finish_states(
 
 def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
-    found = {name: one.markdown() for name, one in state_card_tables(states, report).items()}
+    found = {name: one.markdown() for name, one in _state_tables(states, report).items()}
     return filled_template(
         "state_card.md",
         crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),
@@ -162,7 +187,7 @@ def _spread(states: States, nx: int) -> tuple[object, ...]:
     )
 
 
-def image_card_tables(path: Path) -> dict[str, CardTable]:
+def _image_tables(path: Path) -> dict[str, CardTable]:
     """Return the tables of facts about a perception table by name."""
     rows = read_table(path, columns=[*_COUNTED, "quality"])
     quality = rows["quality"].combine_chunks()
@@ -218,7 +243,7 @@ def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, An
         code_share=f"{config['code_share']:g}",
         held=_MARKED if marks_base(rows) else _UNMARKED,
         test_nx=", ".join(map(str, config["test_nx"] or ())) or "none",
-        **{name: one.markdown() for name, one in image_card_tables(folder).items()},
+        **{name: one.markdown() for name, one in _image_tables(folder).items()},
         ropes=report["ropes"],
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),
