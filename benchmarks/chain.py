@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.common import Stream
-from knotgym.control import RecordedPolicy, rollouts
+from knotgym.control import replay
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, evaluate, recordings
 from knotgym.rope import CHAIN, MUJOCO, ChainSimulation, Rope, RopeConfig, Simulation, simulation
@@ -137,7 +137,7 @@ def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, A
         longest, ends = int(own.episodes["length"].max()), []
         for engine in (MUJOCO, CHAIN):
             task = replace(config.policy_task, engine=engine, horizon=longest, hold=longest)
-            played = rollouts(RecordedPolicy(own), task, seeds)
+            played = replay(own, task, seeds)
             # the last state, if the rope was towed too far in this engine
             lengths = np.minimum(own.episodes["length"], played.episodes["length"])
             last = played.offsets[:-1] + lengths

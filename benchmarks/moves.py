@@ -32,8 +32,6 @@ from knotgym.control import (
     PassValues,
     Search,
     Sight,
-    canonical_image,
-    see,
     try_pass,
 )
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -152,7 +150,7 @@ def play(
     counts, left = Counts(), int(args.pulls)
     while left > 0:
         goal = goals[int(rng.integers(len(goals)))]
-        landing, (sight,) = None, see(points[None])
+        landing, (sight,) = None, Sight.of(points[None])
         own = sight.diagram
         if rng.random() >= args.explored and not own.code.matches(goal):
             plan = yield from PassSearch(values, goal, PassPlannerConfig()).run(state, points)
@@ -163,7 +161,7 @@ def play(
         if landing is None:
             some = templates(min(own.nx, MOST_NX))
             # of the diagram's first image, for which templates are counted
-            image = canonical_image(own)[1]
+            image = own.canonical()[1]
             move = some[int(rng.integers(len(some)))].on(sight, image)
             landing = yield from try_pass(state, move, goal)
             left -= max(1, landing.pulls)
@@ -176,14 +174,14 @@ def play(
 
 def count(counts: Counts, points: Array, move: Pass, led: Array) -> None:
     """Count a pass of a rope that lay at `points`, and lies at `led` now."""
-    (sight,) = see(points[None])
+    (sight,) = Sight.of(points[None])
     before = sight.diagram
     if before.nx > MOST_NX or move.bead == move.target:
         return
     number, image = named(sight)[move]
     after, code = None, label(led)
     if code != before.code and code.nx <= MOST_NX:
-        after = see(led[None])[0].diagram.image(image)
+        after = Sight.of(led[None])[0].diagram.image(image)
     counts[before.image(image), number, after] += 1
 
 
@@ -191,7 +189,7 @@ def count(counts: Counts, points: Array, move: Pass, led: Array) -> None:
 def named(sight: Sight) -> dict[Pass, tuple[int, int]]:
     """The template of every pass of a rope, and the symmetry to the diagram that it is of."""
     before = sight.diagram
-    first, _ = canonical_image(before)
+    first, _ = before.canonical()
     own = [k for k in IMAGES if before.image(k) == first]
     return {one.on(sight, k): (n, k) for k in own for one, n in numbers(before.nx).items()}
 

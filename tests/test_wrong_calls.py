@@ -15,7 +15,7 @@ from synthetic_episodes import TINY
 import knotgym
 from knotgym.adapters import goal_env, sb3_vec_env
 from knotgym.common import KnotgymError
-from knotgym.control import PolicyConfig, make_policy, register_policy
+from knotgym.control import PolicyConfig, PolicyFamily, make_policy, register_policy
 from knotgym.datasets import open_episodes, read_table, select
 from knotgym.envs import KnotEnv, KnotVectorEnv, TaskConfig
 from knotgym.loaders import (
@@ -63,7 +63,7 @@ def rope(**settings: Any) -> Any:
 
 
 def register(name: str) -> None:
-    register_policy(name, lambda config: policy("random"))
+    register_policy(PolicyFamily(form=name, make=lambda config: policy("random")))
 
 
 def policy(name: str) -> Any:

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, InvalidPolicy, one_line
 from knotgym.control.sampler import Ids, Pulls
-from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.envs import EpisodeBatch
 from knotgym.rope import ActionView, nearest_beads
-
-Generators = Sequence[np.random.Generator]
 
 
 class ActionPlayer(ABC):
@@ -33,7 +31,7 @@ class ActionPlayer(ABC):
         self.rngs: list[np.random.Generator] = [np.random.default_rng(0)] * batch.count
         self._pulled = np.zeros(batch.count, dtype=bool)  # since the view last looked
 
-    def begin(self, ids: Ids, rngs: Generators) -> None:
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         """Keep the generators of the episodes."""
         for index, rng in zip(ids.tolist(), rngs, strict=True):
             self.rngs[index] = rng
@@ -74,28 +72,16 @@ class ActionPlayer(ABC):
         return actions
 
 
-class RandomPolicy:
-    """Uniform actions of the task's view."""
+class RandomPlayer(ActionPlayer):
+    """Chooses uniform actions of the task's view."""
 
-    name = "random"
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Any task."""
-        return task
-
-    def player(self, batch: EpisodeBatch) -> ActionPlayer:
-        """Return a player for the lanes of a batch."""
-        return _RandomPlayer(batch, self.name)
-
-
-class _RandomPlayer(ActionPlayer):
-    def __init__(self, batch: EpisodeBatch, name: str) -> None:
-        super().__init__(batch, name)
+    def __init__(self, batch: EpisodeBatch) -> None:
+        super().__init__(batch, "random")
         # all pulls of an episode, drawn when it begins
         size = self.view.size
         self._drawn = np.zeros((batch.count, batch.task.horizon, size), dtype=np.float32)
 
-    def begin(self, ids: Ids, rngs: Generators) -> None:
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         super().begin(ids, rngs)
         for index, rng in zip(ids.tolist(), rngs, strict=True):
             if self.view.counts is None:

@@ -24,83 +24,73 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from knotgym.common import InvalidPolicy, KnotgymError, one_line
-from knotgym.control.basic_policies import ActionPlayer, Generators
-from knotgym.control.sampler import Ids, Player, Policy, Pulls
+from knotgym.control.basic_policies import ActionPlayer
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.sampler import Ids, Player, Policy, PolicyFamily, Pulls, SimplePolicy
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.loaders import RowPolicy
 from knotgym.rope import ActionView
 
 
-class OwnPolicy:
-    """A user's function, or a user's object copied for each episode.
+def own_policy(given: Any, name: str) -> SimplePolicy:
+    """Make a policy of a user's function, object or class; objects are copied for each episode.
 
-    Attributes:
-        name: module:name.
+    Raises:
+        InvalidPolicy: it doesn't have the signature of a policy.
     """
-
-    def __init__(self, given: Any, name: str) -> None:
-        """Wrap a function, an object, or a class.
-
-        Raises:
-            InvalidPolicy: it doesn't have the signature of a policy.
-        """
-        self.name = name
-        reset_takes: int | None = None
-        if inspect.isclass(given):
-            with _user_code(name):
-                given = given()
-        if callable(getattr(given, "act", None)) and callable(getattr(given, "reset", None)):
-            takes, reset_takes = _takes(given.act, (3, 1)), _takes(given.reset, (1, 0))
-            if reset_takes is None:
-                raise InvalidPolicy(
-                    f"policy {name}: reset must take no argument, or the episode's generator"
-                )
-        else:
-            takes = _takes(given, (3, 1)) if callable(given) else None
-        if takes is None:
+    reset_takes: int | None = None
+    if inspect.isclass(given):
+        with _user_code(name):
+            given = given()
+    if callable(getattr(given, "act", None)) and callable(getattr(given, "reset", None)):
+        takes, reset_takes = _takes(given.act, (3, 1)), _takes(given.reset, (1, 0))
+        if reset_takes is None:
             raise InvalidPolicy(
-                f"policy {name} must be a function of (observation) or of (observation, info,"
-                " generator), or an object with reset and act"
+                f"policy {name}: reset must take no argument, or the episode's generator"
             )
-        self.given, self.takes, self.reset_takes = given, takes, reset_takes
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Any task."""
-        return task
-
-    def player(self, batch: EpisodeBatch) -> ActionPlayer:
-        """Return a player for the lanes of a batch."""
-        return _OwnPlayer(batch, self)
+    else:
+        takes = _takes(given, (3, 1)) if callable(given) else None
+    if takes is None:
+        raise InvalidPolicy(
+            f"policy {name} must be a function of (observation) or of (observation, info,"
+            " generator), or an object with reset and act"
+        )
+    return SimplePolicy(name, partial(_OwnPlayer, name, given, takes, reset_takes))
 
 
 class _OwnPlayer(ActionPlayer):
-    def __init__(self, batch: EpisodeBatch, policy: OwnPolicy) -> None:
-        super().__init__(batch, policy.name)
-        self._policy = policy
-        self._own = [policy.given] * batch.count
+    def __init__(
+        self, name: str, given: Any, takes: int, reset_takes: int | None, batch: EpisodeBatch
+    ) -> None:
+        super().__init__(batch, name)
+        self._given, self._takes, self._reset_takes = given, takes, reset_takes
+        self._own = [given] * batch.count
 
-    def begin(self, ids: Ids, rngs: Generators) -> None:
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         super().begin(ids, rngs)
-        if self._policy.reset_takes is not None:
+        if self._reset_takes is not None:
             for index in ids.tolist():
                 with _user_code(self.name):
-                    self._own[index] = copy.deepcopy(self._policy.given)
-                    self._own[index].reset(*[self.rngs[index]][: self._policy.reset_takes])
+                    self._own[index] = copy.deepcopy(self._given)
+                    self._own[index].reset(*[self.rngs[index]][: self._reset_takes])
 
     def choose(self, ids: Ids) -> Any:
-        batch, takes, actions = self.batch, self._policy.takes, []
+        batch, actions = self.batch, []
         for index in ids.tolist():
             own = self._own[index]
-            function = own if self._policy.reset_takes is None else own.act
+            function = own if self._reset_takes is None else own.act
             seen = [batch.observation(index)]
-            if takes > 1:
+            if self._takes > 1:
                 seen += [batch.info(index), self.rngs[index]]
             with _user_code(self.name):
                 # copied at once, as the next call may return the same array
@@ -108,25 +98,10 @@ class _OwnPlayer(ActionPlayer):
         return actions
 
 
-class _Rows:
-    """A model of a library, see `loaders.as_policy`."""
-
-    def __init__(self, given: RowPolicy, name: str) -> None:
-        self.name, self._given = name, given
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """The same task as the model sees it."""
-        given = self._given
-        # a decision is carried out by pulls, which are what the environment gets
-        action = "pull" if given.action == "decision" else given.action
-        return replace(task, observation=given.observation, frame=given.frame, action=action)
-
-    def player(self, batch: EpisodeBatch) -> ActionPlayer:
-        return _RowPlayer(batch, self._given, self.name)
-
-
 class _RowPlayer(ActionPlayer):
-    def __init__(self, batch: EpisodeBatch, given: RowPolicy, name: str) -> None:
+    """Acts by a model of a library, see `loaders.as_policy`."""
+
+    def __init__(self, name: str, given: RowPolicy, batch: EpisodeBatch) -> None:
         super().__init__(batch, name, ActionView(given.action, batch.simulation))
         self._given = given
 
@@ -135,38 +110,26 @@ class _RowPlayer(ActionPlayer):
             return self._given.actions(self.batch.observations(ids))
 
 
-class _Guarded:
-    """A user's `Policy`, whose errors are one line."""
+class _GuardedPlayer(Player):
+    """Acts by a user's `Policy`; its errors are one line."""
 
-    def __init__(self, given: Any, name: str) -> None:
-        self.name, self._given = name, given
+    def __init__(self, name: str, given: Policy, batch: EpisodeBatch) -> None:
+        self._name = name
+        with _user_code(name):
+            self._player = given.player(batch)
+            self.planned = self._player.planned
 
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        with _user_code(self.name):
-            found: TaskConfig = self._given.compatible_task(task)
-        return found
-
-    def player(self, batch: EpisodeBatch) -> Player:
-        with _user_code(self.name):
-            return _GuardedPlayer(self._given.player(batch), self.name)
-
-
-class _GuardedPlayer:
-    def __init__(self, player: Any, name: str) -> None:
-        self._player, self._name, self.planned = player, name, player.planned
-
-    def begin(self, ids: Ids, rngs: Generators) -> None:
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         with _user_code(self._name):
             self._player.begin(ids, rngs)
 
     def act(self, ids: Ids) -> Pulls:
         with _user_code(self._name):
-            found: Pulls = self._player.act(ids)
-        return found
+            return self._player.act(ids)
 
 
-def load_own(name: str) -> Policy:
-    """Import a module and make a policy of its attribute; `name` is module:name.
+def _load(config: PolicyConfig) -> Policy:
+    """Import a module and make a policy of its attribute.
 
     A module that isn't installed is looked for in the current folder. That folder is on the path
     only during this import, so the module must import its neighbours at the top, not in functions.
@@ -175,6 +138,7 @@ def load_own(name: str) -> Policy:
         InvalidPolicy: the module or attribute doesn't exist, isn't a policy, or importing the
             module fails.
     """
+    name = config.policy
     module, _, attribute = name.partition(":")
     try:
         # the current folder is searched, too, as by `python -m`
@@ -185,13 +149,22 @@ def load_own(name: str) -> Policy:
     except (Exception, SystemExit) as error:
         raise _invalid(name, error) from error
     if isinstance(given, RowPolicy):
-        return _Rows(given, name)
-    if callable(getattr(given, "player", None)) and not inspect.isclass(given):
-        return _Guarded(given, name)
-    return OwnPolicy(given, name)
+        # a decision is carried out by pulls, which are what the environment gets
+        action = "pull" if given.action == "decision" else given.action
+        seen = {"observation": given.observation, "frame": given.frame, "action": action}
+        return SimplePolicy(name, partial(_RowPlayer, name, given), partial(replace, **seen))
+    if not callable(getattr(given, "player", None)) or inspect.isclass(given):
+        return own_policy(given, name)
+
+    def compatible_task(task: TaskConfig) -> TaskConfig:
+        with _user_code(name):
+            found: TaskConfig = given.compatible_task(task)
+        return found
+
+    return SimplePolicy(name, partial(_GuardedPlayer, name, given), compatible_task)
 
 
-def module_files(name: str) -> dict[str, Path]:
+def _files(name: str) -> dict[str, Path]:
     """Return the source files of a policy module:name, and the module's FILES, by their names.
 
     For a module in a package, the sources are those of the top package; other files that it imports
@@ -213,7 +186,7 @@ def module_files(name: str) -> dict[str, Path]:
     return found | {path.relative_to(own.parent.parent).as_posix(): path for path in files}
 
 
-def module_card(name: str) -> dict[str, Any] | None:
+def _card(name: str) -> dict[str, Any] | None:
     """Return a copy of the CARD of the module of a policy module:name; None if it has none.
 
     Raises:
@@ -279,3 +252,8 @@ def _takes(function: Callable[..., Any], counts: tuple[int, ...]) -> int | None:
             continue
         return count
     return None
+
+
+OWN_CODE = PolicyFamily(
+    form="module:name", make=_load, matches=lambda name: ":" in name, files=_files, card=_card
+)

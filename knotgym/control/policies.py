@@ -13,76 +13,55 @@ module:name     user code, see `own_policies`; the module may lie in the current
 FOLDER          a learner that `knotgym train` wrote; `pretrained`, `pretrained-clone` ship
 recorded:DATASET  repeats the pulls of a dataset's episodes, see `recorded_policy`
 
-`register_policy` adds a single name. A `PolicyFamily` handles every name of some form; packages
-provide families through the entry-point group `knotgym.policies`, as `knotgym.learn` provides
-FOLDER. Worker processes make their own
-policies, so a name must be registered in every process that uses it.
+All of them are rows of one table, each a `PolicyFamily`: `register_policy` adds one, and packages
+provide others through the entry-point group `knotgym.policies`, as `knotgym.learn` provides FOLDER.
+Worker processes make their own policies, so a name must be registered in every process that uses
+it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from knotgym.common import InvalidPolicy, one_line, require_regular
-from knotgym.control.basic_policies import RandomPolicy
-from knotgym.control.own_policies import OwnPolicy, load_own, module_card, module_files
-from knotgym.control.planning import PASSES, PassPlanner, PullPlanner
-from knotgym.control.planning.pass_policies import Mixed, Noisy, Play, Scripted
+from knotgym.control.basic_policies import RandomPlayer
+from knotgym.control.own_policies import OWN_CODE, own_policy
+from knotgym.control.planning.pass_policies import (
+    MixedPlayer,
+    NoisyPlayer,
+    PlayPlayer,
+    ScriptedPlayer,
+    is_endless,
+)
+from knotgym.control.planning.passes import PassValues
+from knotgym.control.planning.planners import PassPlayer, PullPlayer, chooses_pulls
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.recorded_policy import PREFIX as RECORDED
-from knotgym.control.recorded_policy import load_recording, recording_files
-from knotgym.control.sampler import Policy
+from knotgym.control.recorded_policy import RECORDED
+from knotgym.control.sampler import Player, Policy, PolicyFamily, SimplePolicy, rollouts
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import CHAIN
 
 GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
 
-
-@dataclass(frozen=True, kw_only=True)
-class PolicyFamily:
-    """Policies whose names share a form, such as `module:name` or the path of a folder.
-
-    Attributes:
-        form: what such a name looks like, for error messages.
-        matches: tell whether a name has this form. Must be cheap; what the name refers to need not
-            exist.
-        make: make the policy, or raise InvalidPolicy.
-        files: name -> the files that decide how the policy acts, by the names used for them in
-            results.
-        card: name -> facts about the policy's training, or None if it has none.
-    """
-
-    form: str
-    matches: Callable[[str], bool]
-    make: Callable[[PolicyConfig], Policy]
-    files: Callable[[str], Mapping[str, Path]]
-    card: Callable[[str], dict[str, Any] | None] = lambda name: None
+_table: dict[str, PolicyFamily] = {}  # by form, in the order in which names are looked up
 
 
-Constructor = Callable[[PolicyConfig], Policy]
-_constructors: dict[str, Constructor] = {}
-_files: dict[str, tuple[Path, ...]] = {}  # files that a registered policy is made from
-
-
-def register_policy(name: str, constructor: Constructor, files: Sequence[Path] = ()) -> None:
-    """Register a policy under a name.
-
-    Args:
-        name: neither module:name nor a path.
-        constructor: makes the policy from a configuration.
-        files: what decides how the policy acts, such as its weights; results hold their digests.
+def register_policy(family: PolicyFamily) -> None:
+    """Add a row to the table of policies.
 
     Raises:
-        InvalidPolicy: the name is taken, or would be read as a module or path.
+        InvalidPolicy: the form is taken, or a single name would be read as a module or path.
     """
-    if name in _constructors:
+    name = family.form
+    if name in _table:
         raise InvalidPolicy(f"a policy named {name!r} is already registered")
-    if not name or any(mark in name for mark in ":/\\."):
+    if family.matches is None and (not name or any(mark in name for mark in ":/\\.")):
         raise InvalidPolicy(
             f"a policy's name must not look like module:name or a path, got {name!r}"
         )
-    _constructors[name], _files[name] = constructor, tuple(files)
+    _table[name] = family
 
 
 def make_policy(config: PolicyConfig) -> Policy:
@@ -115,17 +94,19 @@ def training_card(name: str) -> dict[str, Any] | None:
     return _family(name).card(name)
 
 
+def _rows() -> Iterator[PolicyFamily]:
+    """Yield the table; entry points are read only if no row before them has the name."""
+    yield from _table.values()
+    yield from _entry_point_families()
+    yield OWN_CODE
+
+
 def _family(name: str) -> PolicyFamily:
-    """The first family whose form a name has. Entry points are read only if they are needed."""
-    if _REGISTERED.matches(name):
-        return _REGISTERED
-    families = (_RECORDED, *_entry_point_families(), _OWN_CODE)
-    for family in families:
-        if family.matches(name):
-            return family
-    raise InvalidPolicy(
-        f"no policy {name!r}; use {', '.join((*_constructors, *(one.form for one in families)))}"
-    )
+    """The first family whose form a name has."""
+    for one in _rows():
+        if one.form == name if one.matches is None else one.matches(name):
+            return one
+    raise InvalidPolicy(f"no policy {name!r}; use {', '.join(one.form for one in _rows())}")
 
 
 @cache
@@ -142,46 +123,43 @@ def _entry_point_families() -> tuple[PolicyFamily, ...]:
     return tuple(families)
 
 
-_REGISTERED = PolicyFamily(
-    form="a registered name",
-    matches=lambda name: name in _constructors,
-    make=lambda config: _constructors[config.policy](config),
-    files=lambda name: {path.name: path for path in _files[name]},
-)
-_RECORDED = PolicyFamily(
-    form=f"{RECORDED}DATASET",
-    matches=lambda name: name.startswith(RECORDED),
-    make=lambda config: load_recording(config.policy),
-    files=recording_files,
-)
-_OWN_CODE = PolicyFamily(
-    form="module:name",
-    matches=lambda name: ":" in name,
-    make=lambda config: load_own(config.policy),
-    files=module_files,
-    card=module_card,
-)
+def compile_planning() -> None:
+    """Compile what the expert needs, by two pulls of an episode in the chain engine."""
+    task = TaskConfig(task="tie", nx=2, engine=CHAIN, horizon=2, observation="state")
+    rollouts(make_policy(PolicyConfig(policy="expert")), task, [0])
 
 
-def _expert(config: PolicyConfig) -> PassPlanner:
-    return PassPlanner(config.expert, config.planner)
+def _constant(config: PolicyConfig) -> Policy:
+    return own_policy(lambda seen: [1.0] * 6, "constant")
 
 
-def _noisy(config: PolicyConfig) -> Noisy:
-    return Noisy(_expert(config), config.noise)
+def _planned(
+    name: str,
+    player: Callable[[PolicyConfig, EpisodeBatch], Player],
+    compatible_task: Callable[[TaskConfig], TaskConfig] = chooses_pulls,
+) -> PolicyFamily:
+    """Return the row of a policy whose player uses the tables of passes."""
+
+    def make(config: PolicyConfig) -> Policy:
+        return SimplePolicy(name, partial(player, config), compatible_task)
+
+    tables = (PassValues.table(split) for split in ("train", "train-code"))
+    files = {path.name: path for path in tables if path.is_file()}
+    return PolicyFamily(form=name, make=make, files=lambda name: files)
 
 
-def _mixed(config: PolicyConfig) -> Mixed:
-    policies = (RandomPolicy(), Scripted(), _noisy(config), _expert(config))
-    return Mixed(policies, config.shares)
-
-
-_tables = tuple(path for path in PASSES.values() if path.is_file())
-register_policy("random", lambda config: RandomPolicy())
-register_policy("constant", lambda config: OwnPolicy(lambda seen: [1.0] * 6, "constant"))
-register_policy("scripted", lambda config: Scripted())
-register_policy("expert", _expert, _tables)
-register_policy("noisy", _noisy, _tables)
-register_policy("play", lambda config: Play(_expert(config)), _tables)
-register_policy("planner", lambda config: PullPlanner(config.planner), _tables)
-register_policy("mixed", _mixed, _tables)
+for _row in (
+    PolicyFamily(form="random", make=lambda config: SimplePolicy("random", RandomPlayer)),
+    PolicyFamily(form="constant", make=_constant),
+    PolicyFamily(
+        form="scripted",
+        make=lambda config: SimplePolicy("scripted", ScriptedPlayer, chooses_pulls),
+    ),
+    _planned("expert", PassPlayer),
+    _planned("noisy", NoisyPlayer),
+    _planned("play", PlayPlayer, is_endless),
+    _planned("planner", lambda config, batch: PullPlayer(config.planner, batch)),
+    _planned("mixed", MixedPlayer),
+    RECORDED,
+):
+    register_policy(_row)

@@ -11,7 +11,9 @@ After a change run `pytest tests/control/test_policies.py`: an episode must depe
 alone; then `python benchmarks/golden.py --compare tests/data/golden.json`: nothing may differ.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -25,6 +27,7 @@ from knotgym.common import (
     Table,
     padded,
 )
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets import (
     EPISODES,
     MACROS,
@@ -98,15 +101,49 @@ class Policy(Protocol):
     @property
     def name(self) -> str: ...
 
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+    def compatible_task(self, task: TaskConfig, /) -> TaskConfig:
         """Return the task with the observation that this policy needs.
 
         Raises:
             InvalidPolicy: the task lacks something that the policy needs, such as a view.
         """
 
-    def player(self, batch: EpisodeBatch) -> Player:
+    def player(self, batch: EpisodeBatch, /) -> Player:
         """Return a player for the lanes of a batch."""
+
+
+def _any(task: TaskConfig) -> TaskConfig:
+    return task
+
+
+@dataclass(frozen=True)
+class SimplePolicy:
+    """A policy put together from its parts, which are those of `Policy`."""
+
+    name: str
+    player: Callable[[EpisodeBatch], Player]
+    compatible_task: Callable[[TaskConfig], TaskConfig] = _any
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyFamily:
+    """A row of the table of policies: a single name, or all names of some form.
+
+    Attributes:
+        form: the name, or what such names look like, for error messages.
+        make: make the policy, or raise InvalidPolicy.
+        matches: tell whether a name has this form. Must be cheap; what the name refers to need not
+            exist. None for the single name `form`.
+        files: name -> the files that decide how the policy acts, by the names used for them in
+            results.
+        card: name -> facts about the policy's training, or None if it has none.
+    """
+
+    form: str
+    make: Callable[[PolicyConfig], Policy]
+    matches: Callable[[str], bool] | None = None
+    files: Callable[[str], Mapping[str, Path]] = lambda name: {}
+    card: Callable[[str], dict[str, Any] | None] = lambda name: None
 
 
 def rollouts(

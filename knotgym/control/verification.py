@@ -11,21 +11,15 @@ from typing import Any
 import numpy as np
 
 from knotgym.common import Stream
-from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.sampler import rollouts
-from knotgym.datasets import Episodes, ReplayFault, faults, locate, open_episodes
-from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.control.recorded_policy import replay
+from knotgym.datasets import ReplayFault, faults, locate, open_episodes
+from knotgym.envs import EpisodeBatch
 
 _LANES = 256
 _MOST_EPISODES = 10_000_000
 _ROUNDING = 1e-9  # m and 1: other processors round the noise of a reset differently
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
-
-
-def replay(episodes: Episodes, task: TaskConfig) -> Episodes:
-    """Play episodes again from their starts and pulls."""
-    return rollouts(RecordedPolicy(episodes), task, episodes.episodes)
 
 
 def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:

@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
-from knotgym.control import (
-    BatchedSearch,
-    Player,
-    PullPlannerConfig,
-    Pulls,
-    PullSearch,
-    pass_values,
-)
+from knotgym.control import BatchedSearch, PassValues, Player, PullPlannerConfig, Pulls, PullSearch
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE
@@ -202,7 +195,7 @@ class Agent:
             ropes, velocities = episode.hypotheses.ropes[:1], episode.hypotheses.velocities[:1]
             self._believed.lay_points(ropes, velocities, [0])
             state = self._believed.states([0])[0]
-            search = PullSearch(episode.goal, pass_values(), _PLANNER, episode.rng)
+            search = PullSearch(episode.goal, PassValues.of_split(), _PLANNER, episode.rng)
             found = search.plan(state, ropes[0], episode.horizon - episode.step, left)
             ((_, made),) = self._planning.run([found], _PLANNER.batch_size)
             episode.imagined += made.spent

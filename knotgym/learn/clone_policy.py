@@ -23,7 +23,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from knotgym.common import InvalidFile, InvalidPolicy
-from knotgym.control import ActionPlayer, Generators, PassValues, Player, pass_values, see
+from knotgym.control import ActionPlayer, PassValues, Player, Sight
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig, mark
 from knotgym.learn.agent import require_readable
 from knotgym.learn.checkpoint import (
@@ -95,11 +95,11 @@ class _ClonePlayer(ActionPlayer):
     def __init__(self, policy: ClonePolicy, batch: EpisodeBatch) -> None:
         super().__init__(batch, CLONE, ActionView("macro", batch.simulation))
         self._network, split = policy.network, batch.task.split
-        self._values = pass_values(split, every_code=True) if policy.guided else None
+        self._values = PassValues.of_split(split, every_code=True) if policy.guided else None
         self._codes: dict[int, GaussCode | None] = {}  # at the last choice
         self._eyes: dict[int, _Eyes] = {}
 
-    def begin(self, ids: Ids, rngs: Generators) -> None:
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         super().begin(ids, rngs)
         for index in ids.tolist():
             self._codes[index] = None
@@ -233,7 +233,7 @@ def _with_passes(
     macros = torch.cat([likely, torch.zeros(count, _PASSES, 3, dtype=torch.int64)], dim=1)
     prior = torch.full(macros.shape[:2], -math.inf)
     prior[:, :known] = math.log(_UNORDERED)
-    for row, (sight, goal) in enumerate(zip(see(points), goals, strict=True)):
+    for row, (sight, goal) in enumerate(zip(Sight.of(points), goals, strict=True)):
         ordered = [*islice(values.passes(goal, sight), _PASSES)]
         if ordered:
             beads, targets, sides = np.array([move for move, _ in ordered]).T[:, :, None]

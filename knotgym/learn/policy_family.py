@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common import MissingExtra
-from knotgym.control import EVERY_CODE, PASSES, Policy, PolicyConfig, PolicyFamily
+from knotgym.control import PassValues, Policy, PolicyConfig, PolicyFamily
 
 _SHIPPED = "pretrained", "pretrained-clone"
 
@@ -35,7 +35,8 @@ def _files(name: str) -> dict[str, Path]:
     from knotgym.learn.checkpoint import CARD, CLONE, WEIGHTS, policy_folder
 
     is_clone = _card(name).get("learner") == CLONE
-    tables = (EVERY_CODE, PASSES["train-code"]) if is_clone else (PASSES["train"],)
+    splits = ("train", "train-code") if is_clone else ("train",)
+    tables = [PassValues.table(split, every_code=is_clone) for split in splits]
     counted = {path.name: path for path in tables if path.is_file()}
     return counted | {file: policy_folder(name) / file for file in (CARD, WEIGHTS)}
 

@@ -21,8 +21,6 @@ from knotgym.control import (
     PassValues,
     Search,
     TriedPass,
-    pass_values,
-    random_pass,
     try_pass,
 )
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -59,11 +57,11 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     seeds = [Stream.DEMONSTRATION.derived_seed(config.seed, *place, k) for k in numbers]
     batch, ids = EpisodeBatch(setup, len(seeds)), np.arange(len(seeds))
     batch.begin(ids, seeds)
-    values = pass_values(config.split, every_code=True)
+    values = PassValues.of_split(config.split, every_code=True)
     rngs = [Stream.DEMONSTRATION.generator(seed) for seed in seeds]
     states, goals = batch.simulation.states(ids), batch.goals_of(ids)
     wanders = [
-        [random_pass(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs
+        [Pass.drawn(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs
     ]
     given = zip(states, batch.simulation.points[ids].copy(), goals, wanders, strict=True)
     # numbered by the order in which they were given, though they end in any order

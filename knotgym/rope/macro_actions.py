@@ -40,6 +40,7 @@ _SPREAD_ANGLE, _PASS_ANGLE = 0.5, 0.3  # standard deviation of the heading of a 
 _BEYOND = 0.02, 0.09  # range of the distance past the strand at which a pass or curl ends
 STRAIGHT_LIFT, _STRAIGHT_BEYOND = 0.06, 0.1  # the same two, of a pass without chance
 _FARTHEST = 0.3  # longest distance to a strand that a pass covers; one farther away isn't reached
+_CLOSE = 8  # fewest beads along the rope between the two of a pass that is drawn
 _PASS_APART = 12  # fewest beads along the rope between a bead and the strand it passes
 _CURL_APART = 6, 24  # range of that number for a curl, both ends included
 
@@ -55,6 +56,12 @@ class Pass(NamedTuple):
     bead: int
     target: int
     side: int
+
+    @classmethod
+    def drawn(cls, beads: int, rng: np.random.Generator) -> "Pass":
+        """Draw a pass over or under any bead that isn't close along a rope of so many beads."""
+        bead, apart = int(rng.integers(beads)), int(rng.integers(_CLOSE, beads - _CLOSE + 1))
+        return cls(bead, (bead + apart) % beads, (-1, 1)[int(rng.integers(2))])
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,11 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy, Stream, Table
 from knotgym.control import policies
-from knotgym.control.basic_policies import RandomPolicy
-from knotgym.control.own_policies import OwnPolicy
-from knotgym.control.policies import (
-    PolicyFamily,
-    make_policy,
-    policy_files,
-    register_policy,
-    training_card,
-)
+from knotgym.control.own_policies import own_policy
+from knotgym.control.policies import make_policy, policy_files, register_policy, training_card
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
-from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.sampler import Pulls, rollouts
+from knotgym.control.recorded_policy import replay
+from knotgym.control.sampler import PolicyFamily, Pulls, SimplePolicy, rollouts
 from knotgym.datasets import PULLS, Episodes, write_episodes
 from knotgym.envs import KnotEnv, TaskConfig
 from knotgym.states import States
@@ -33,6 +26,7 @@ from knotgym.topology import CodeArrays, label
 TASK = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=12)
 ENDLESS = dataclasses.replace(TASK, endless=True)
 QUICK = PullPlannerConfig(budget=80, batch_size=2)
+RANDOM = make_policy(PolicyConfig())
 SEEDS = [Stream.EPISODE.derived_seed(0, number) for number in range(20)]
 
 
@@ -47,16 +41,15 @@ class Counter:
         return [0, 0, 0, self.pulls / 20, float(observation.shape == (600,)), self.side]
 
 
-class Wrong(RandomPolicy):
+def wrong(answer: Any) -> SimplePolicy:
     """A policy whose player returns something else than pulls, or raises."""
 
-    def __init__(self, answer: Any) -> None:
-        self.answer = answer
-
-    def player(self, batch: Any) -> Any:
-        player = super().player(batch)
-        player.act = lambda ids: self.answer(player, ids)  # type: ignore[method-assign]
+    def make(batch: Any) -> Any:
+        player: Any = RANDOM.player(batch)
+        player.act = lambda ids: answer(player, ids)
         return player
+
+    return SimplePolicy("wrong", make)
 
 
 def _raise(player: Any, ids: Any) -> None:
@@ -100,26 +93,24 @@ class Reusing:
         return observation[:6]
 
 
-class Sharing(RandomPolicy):
-    """A policy whose player returns the same arrays always, and changes those that it gets."""
+def sharing(batch: Any) -> Any:
+    """A player that returns the same arrays always, and changes those that it gets."""
+    player: Any = RANDOM.player(batch)
+    act, begin, kept = player.act, player.begin, np.zeros((batch.count, 3), np.float32)
 
-    def player(self, batch: Any) -> Any:
-        player, kept = super().player(batch), np.zeros((batch.count, 3), np.float32)
-        act, begin = player.act, player.begin
+    def shared(ids: Any) -> Pulls:
+        own, pulls = ids.copy(), act(ids.copy())
+        forces = kept[: len(own)]
+        forces[:] = pulls.forces
+        ids[:] = -5
+        return Pulls(own, pulls.beads, forces)
 
-        def shared(ids: Any) -> Pulls:
-            own, pulls = ids.copy(), act(ids.copy())
-            forces = kept[: len(own)]
-            forces[:] = pulls.forces
-            ids[:] = -5
-            return Pulls(own, pulls.beads, forces)
+    def begun(ids: Any, rngs: Any) -> None:
+        begin(ids.copy(), rngs)
+        ids[:], rngs[:] = -5, []
 
-        def begun(ids: Any, rngs: Any) -> None:
-            begin(ids.copy(), rngs)
-            ids[:], rngs[:] = -5, []
-
-        player.act, player.begin = shared, begun  # type: ignore[method-assign]
-        return player
+    player.act, player.begin = shared, begun
+    return player
 
 
 class Own:
@@ -130,18 +121,18 @@ class Own:
         Reusing.mutates,
         Reusing.keeps,
         Reusing.aliases,
-        Sharing(),
+        SimplePolicy("shares", sharing),
     )
 
-    none, list_of = Wrong(lambda player, ids: None), Wrong(lambda player, ids: [0] * len(ids))
-    others = Wrong(lambda p, ids: Pulls(ids + 9, ids, np.zeros((len(ids), 3), np.float32)))
-    many = Wrong(lambda p, ids: Pulls(ids, ids, np.zeros((len(ids), 4), np.float32)))
-    strong = Wrong(lambda p, ids: Pulls(ids, ids, np.full((len(ids), 3), 2, np.float32)))
-    absent_bead = Wrong(lambda p, ids: Pulls(ids, ids + 100, np.zeros((len(ids), 3), np.float32)))
-    raising = Wrong(_raise)
+    none, list_of = wrong(lambda player, ids: None), wrong(lambda player, ids: [0] * len(ids))
+    others = wrong(lambda p, ids: Pulls(ids + 9, ids, np.zeros((len(ids), 3), np.float32)))
+    many = wrong(lambda p, ids: Pulls(ids, ids, np.zeros((len(ids), 4), np.float32)))
+    strong = wrong(lambda p, ids: Pulls(ids, ids, np.full((len(ids), 3), 2, np.float32)))
+    absent_bead = wrong(lambda p, ids: Pulls(ids, ids + 100, np.zeros((len(ids), 3), np.float32)))
+    raising = wrong(_raise)
 
     counter, made, three = Counter, Counter(), 3
-    policy = OwnPolicy(lambda seen: [0.0] * 6, "still")
+    policy = own_policy(lambda seen: [0.0] * 6, "still")
 
     plain = staticmethod(_pull_of)
 
@@ -237,14 +228,14 @@ def test_another_attempt_draws_other_pulls_from_the_same_starts(name: str) -> No
 @pytest.mark.parametrize("name", ["random", "expert", "mixed"])
 def test_repeating_the_pulls_gives_the_same_bits(name: str) -> None:
     made = played(name, SEEDS, 16)
-    again = rollouts(RecordedPolicy(made.recording()), TASK, made.episodes, lanes=5)
+    again = replay(made.recording(), TASK)
     assert made.differences(again) == []
 
 
 @pytest.mark.parametrize("action", ["pull", "bead", "macro"])
 def test_stored_actions_lead_the_environment_through_the_same_states(action: str) -> None:
     task = dataclasses.replace(TASK, action=action)
-    made = rollouts(RandomPolicy(), task, SEEDS[:2])
+    made = rollouts(RANDOM, task, SEEDS[:2])
     env = KnotEnv(**vars(dataclasses.replace(TASK, observation="state")))
     for episode in range(2):
         env.reset(seed=SEEDS[episode])
@@ -257,10 +248,10 @@ def test_stored_actions_lead_the_environment_through_the_same_states(action: str
 
 
 def test_kept_columns_are_those_asked_for() -> None:
-    assert set(rollouts(RandomPolicy(), TASK, SEEDS[:2], keep=PULLS).steps) == {"bead", "force"}
-    outcomes = rollouts(RandomPolicy(), TASK, SEEDS[:2], keep=None)
+    assert set(rollouts(RANDOM, TASK, SEEDS[:2], keep=PULLS).steps) == {"bead", "force"}
+    outcomes = rollouts(RANDOM, TASK, SEEDS[:2], keep=None)
     assert outcomes.episodes.rows == 2 and not len(outcomes.steps)
-    assert rollouts(RandomPolicy(), TASK, []).episodes.rows == 0
+    assert rollouts(RANDOM, TASK, []).episodes.rows == 0
 
 
 def test_codes_with_more_crossings_than_there_was_room_for_are_kept_whole() -> None:
@@ -268,9 +259,9 @@ def test_codes_with_more_crossings_than_there_was_room_for_are_kept_whole() -> N
     radius = 2 + np.cos(9 * turn)  # nine times round one way, five the other: 36 crossings
     curve = [radius * np.cos(5 * turn), radius * np.sin(5 * turn), 3 * np.cos(turn + 0.2)]
     laid = States.from_points([np.stack(curve, axis=1)]).qpos
-    begun = rollouts(RandomPolicy(), TASK, SEEDS[:2]).episodes
+    begun = rollouts(RANDOM, TASK, SEEDS[:2]).episodes
     starts = Table(begun.schema, {**begun, "start_qpos": np.stack([begun["start_qpos"][0], *laid])})
-    made = rollouts(RandomPolicy(), TASK, starts, lanes=1)
+    made = rollouts(RANDOM, TASK, starts, lanes=1)
     shown = CodeArrays(made.steps["visits"], made.steps["signs"]).texts()
     assert [label(points).chiral for points in made.steps["observation"]] == shown.tolist()
     assert made.steps["crossings"][made.offsets[:-1]].tolist() == [0, 36]
@@ -285,8 +276,8 @@ def test_macro_actions_of_plans_are_stored_with_their_pulls() -> None:
 
 def test_advice_is_stored_and_not_followed() -> None:
     expert = make_policy(PolicyConfig(policy="expert"))
-    made = rollouts(RandomPolicy(), TASK, SEEDS[:4], adviser=expert)
-    plain = rollouts(RandomPolicy(), TASK, SEEDS[:4])
+    made = rollouts(RANDOM, TASK, SEEDS[:4], adviser=expert)
+    plain = rollouts(RANDOM, TASK, SEEDS[:4])
     assert plain.differences(made) == [] and "expert_action" not in plain.steps
     advised = made.steps["expert_action"][made.offsets[:-1]]
     followed = rollouts(expert, TASK, SEEDS[:4])
@@ -382,12 +373,15 @@ def test_a_recording_is_recognized_by_start_and_goal(tmp_path: Path) -> None:
 def test_a_registered_policy_is_made_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(policies, "_constructors", dict(policies._constructors))
-    monkeypatch.setattr(policies, "_files", dict(policies._files))
+    monkeypatch.setattr(policies, "_table", dict(policies._table))
     weights = tmp_path / "weights"
     weights.write_bytes(b"weights")
-    register_policy("restless", lambda config: RandomPolicy(), [weights])
-    assert isinstance(make_policy(PolicyConfig(policy="restless")), RandomPolicy)
+    register_policy(
+        PolicyFamily(
+            form="restless", make=lambda config: RANDOM, files=lambda n: {"weights": weights}
+        )
+    )
+    assert make_policy(PolicyConfig(policy="restless")) is RANDOM
     assert policy_files(PolicyConfig(policy="restless")) == {"weights": weights}
     weights.unlink()
     with pytest.raises(InvalidPolicy, match="weights"):
@@ -402,7 +396,7 @@ def test_digests_are_of_the_planners_tables(name: str, tables: int) -> None:
 still = PolicyFamily(
     form="still:WORD",
     matches=lambda name: name.startswith("still:"),
-    make=lambda config: RandomPolicy(),
+    make=lambda config: RANDOM,
     files=lambda name: {"this": Path(__file__)},
     card=lambda name: {"word": name.partition(":")[2]},
 )
@@ -422,7 +416,7 @@ def provided(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[EntryPoint]]:
 def test_another_package_s_family_makes_policies(provided: list[EntryPoint]) -> None:
     provided.append(EntryPoint("still", "still_policies:still", policies.GROUP))
     config = PolicyConfig(policy="still:now")
-    assert isinstance(make_policy(config), RandomPolicy)
+    assert make_policy(config) is RANDOM
     assert list(policy_files(config)) == ["this"]
     assert training_card("still:now") == {"word": "now"} and training_card("random") is None
 

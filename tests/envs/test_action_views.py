@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidInput
-from knotgym.control import RandomPolicy, rollouts
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 from knotgym.envs.tasks import TaskConfig
@@ -30,7 +30,7 @@ def task(states_path: str) -> TaskConfig:
 def played(task: TaskConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Episodes of random macro-actions."""
     path = tmp_path_factory.mktemp("macro") / "episodes.h5"
-    write_episodes(path, [rollouts(RandomPolicy(), task, range(4))], task)
+    write_episodes(path, [rollouts(make_policy(PolicyConfig()), task, range(4))], task)
     return path
 
 
@@ -183,7 +183,9 @@ def test_a_dataset_without_macro_actions_is_refused(
     task: TaskConfig, played: Path, tmp_path: Path
 ) -> None:
     pulls = replace(task, action="pull", horizon=2)
-    write_episodes(tmp_path / "pulls.h5", [rollouts(RandomPolicy(), pulls, [0])], pulls)
+    write_episodes(
+        tmp_path / "pulls.h5", [rollouts(make_policy(PolicyConfig()), pulls, [0])], pulls
+    )
     with pytest.raises(InvalidInput, match="doesn't record macro-actions: use action 'pull'"):
         arrays(tmp_path / "pulls.h5", action="macro")
     with pytest.raises(InvalidInput, match="the expert's actions are pulls"):

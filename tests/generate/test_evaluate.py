@@ -11,7 +11,7 @@ from PIL import Image
 from rich.console import Console
 
 from knotgym.common import InvalidInput, InvalidPolicy, Stream, sha256
-from knotgym.control import PolicyConfig, RandomPolicy, rollouts
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
@@ -136,7 +136,7 @@ def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
 
 def test_a_film_shows_every_view_in_colours() -> None:
     task = replace(CHAIN, nx=1, horizon=1, views=("top", "left"), depth=True)
-    episodes = rollouts(RandomPolicy(), task, [0])
+    episodes = rollouts(make_policy(PolicyConfig()), task, [0])
     height, width, channels = film(episodes, task)[0].shape
     assert height > 2 * 384 and (width, channels) == (2 * 384, 3)
 

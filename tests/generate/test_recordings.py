@@ -16,8 +16,8 @@ from knotgym.generate.episodes.recordings import (
     Recording,
     digests,
     first_difference,
+    rebuilt,
     recordings,
-    replay,
     write_recordings,
 )
 
@@ -44,10 +44,10 @@ def path(tmp_path_factory: pytest.TempPathFactory, played: Episodes) -> Path:
 
 
 def test_a_replay_gives_the_same_arrays(played: Episodes, path: Path) -> None:
-    again = Episodes.of(replay(CONFIG, range(3), path))
+    again = Episodes.of(rebuilt(CONFIG, range(3), path))
     assert played.differences(again) == []
     assert first_difference(again, recordings(path)[CONFIG.dataset_id]) is None
-    part = Episodes.of(replay(CONFIG, range(1, 3), path))
+    part = Episodes.of(rebuilt(CONFIG, range(1, 3), path))
     assert played.select([1, 2]).differences(part) == []
 
 
@@ -74,7 +74,7 @@ def test_only_quantized_pulls_of_macro_actions_are_recorded(played: Episodes, pa
         Recording.of(CONFIG, Episodes(played.episodes, uneven))
     more = replace(CONFIG, episodes=9)
     with pytest.raises(InvalidFile, match=r"is recorded with \d+ episodes, got 9"):
-        replay(more, range(3, 9), path)
+        rebuilt(more, range(3, 9), path)
 
 
 def test_damaged_recordings_are_refused(path: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidInput, InvalidPolicy, Stream
-from knotgym.control import PolicyConfig, make_policy, pass_values, rollouts, see
+from knotgym.control import PassValues, PolicyConfig, Sight, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.learn.train_config import CloneConfig
@@ -46,11 +46,11 @@ def test_a_guided_clone_takes_passes_of_great_worth(clone: Path, states: States)
 
     points = states.points[:12]
     goals, cold = [GaussCode.parse("1+,1-")] * len(points), np.zeros(len(points))
-    values, network = pass_values(every_code=True), load_clone(clone).network
+    values, network = PassValues.of_split(every_code=True), load_clone(clone).network
     network.side[2].weight.data.zero_()  # as if every macro-action worked as well
     own = choose_macros(network, points, goals, cold, [])
     guided = choose_macros(network, points, goals, cold, [], values)
-    orders = [dict(islice(values.passes(goals[0], sight), 40)) for sight in see(points)]
+    orders = [dict(islice(values.passes(goals[0], sight), 40)) for sight in Sight.of(points)]
     assert sum(map(bool, orders)) >= 4
     for row, order in enumerate(orders):
         if not order:

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from knotgym.control import (
-    PassPlanner,
     Policy,
     PolicyConfig,
-    RandomPolicy,
     make_policy,
     rollouts,
     verify,
@@ -31,14 +29,14 @@ def bounded(states_path: str, **settings: Any) -> TaskConfig:
     return TaskConfig(**{**fields, "observation": "state", "tow_limit": LIMIT, **settings})
 
 
-def constant() -> Policy:
-    return make_policy(PolicyConfig(policy="constant"))
+def policy(name: str) -> Policy:
+    return make_policy(PolicyConfig(policy=name))
 
 
 @pytest.fixture(scope="module")
 def towed(states_path: str) -> Episodes:
     """Two episodes of the constant action, both towed beyond the limit."""
-    return rollouts(constant(), bounded(states_path), range(2))
+    return rollouts(policy("constant"), bounded(states_path), range(2))
 
 
 def test_a_rope_is_as_far_as_its_centre() -> None:
@@ -78,7 +76,7 @@ def test_without_a_bound_a_rope_is_towed_anywhere(states_path: str) -> None:
 
 
 def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:
-    played = rollouts(PassPlanner(), bounded(states_path, nx=1, engine="chain"), [1])
+    played = rollouts(policy("expert"), bounded(states_path, nx=1, engine="chain"), [1])
     points = played.steps["observation"].astype(np.float64)
     assert played.episodes["success"].all()
     assert not TowBound(TowBound.centres(points[:1]), LIMIT).exceeded(points).any()
@@ -86,7 +84,7 @@ def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:
 
 def test_a_dataset_with_a_bound_is_verified(states_path: str, tmp_path: Path) -> None:
     task = bounded(states_path, horizon=12)
-    both = [rollouts(policy, task, range(2)) for policy in (RandomPolicy(), constant())]
+    both = [rollouts(policy(name), task, range(2)) for name in ("random", "constant")]
     write_episodes(tmp_path / "own.h5", [Episodes.merged(both)], task)
     shutil.copy(states_path, tmp_path / "states.h5")
     assert verify(tmp_path / "own.h5") == []

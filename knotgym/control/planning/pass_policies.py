@@ -1,19 +1,20 @@
-"""Policies that act in macro-actions without a plan of their own, and policies that mix others."""
+"""Players that act in macro-actions without a plan of their own, and players that mix others."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
+from knotgym.control.basic_policies import RandomPlayer
 from knotgym.control.planning.batched_search import Orders, Search, Trial
-from knotgym.control.planning.passes import PassPlan, random_pass
-from knotgym.control.planning.planners import SLOTS, ChoosesPulls, Ids, PassPlanner, PassPlayer
-from knotgym.control.sampler import Player, Policy, Pulls
+from knotgym.control.planning.passes import PassPlan
+from knotgym.control.planning.planners import SLOTS, Ids, PassPlayer, chooses_pulls
+from knotgym.control.policy_config import MIXED, PolicyConfig
+from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import LONGEST, Array, MacroAction, Pass, WaypointFollower, quantized
 from knotgym.topology import GaussCode
@@ -21,30 +22,12 @@ from knotgym.topology import GaussCode
 _WANDERING = 0.5  # share of noisy episodes that begin with a random pass; not measured
 
 
-@dataclass(frozen=True)
-class Scripted(ChoosesPulls):
-    """Random macro-actions, one after another."""
-
-    name: str = "scripted"
-
-    def player(self, batch: EpisodeBatch) -> ScriptedPlayer:
-        """Return a player for the lanes of a batch."""
-        return ScriptedPlayer(batch)
-
-
 class ScriptedPlayer(Player):
-    """`Scripted` at work; see `Player`.
-
-    Attributes:
-        moves: the macro-action under way in each lane.
-        begun: bool (lanes,), whether its first pull was the last one chosen.
-    """
+    """Random macro-actions, one after another: the policy `scripted`."""
 
     def __init__(self, batch: EpisodeBatch) -> None:
         self._batch, self._follower = batch, WaypointFollower(batch.count)
         self._rngs: dict[int, np.random.Generator] = {}
-        self.moves: dict[int, MacroAction] = {}
-        self.begun = np.zeros(batch.count, bool)
         self.planned = np.zeros(batch.count, np.int64)
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
@@ -59,34 +42,17 @@ class ScriptedPlayer(Player):
         if new:
             follower.begin(idle, [*new.values()])
             follower.arrive(points, idle)
-        self.moves |= new
-        self.begun[ids] = np.isin(ids, idle)
         return Pulls(ids, follower.beads[ids], follower.forces(points, ids))
 
 
-@dataclass(frozen=True)
-class Noisy(ChoosesPulls):
-    """A `PassPlanner` with some pulls replaced by random ones, after which it looks again.
+class NoisyPlayer(Player):
+    """A `PassPlayer` with some pulls replaced by random ones, after which it looks again: `noisy`.
 
     Half of the episodes begin with a random pass, so that learners see more than tidy ropes.
-
-    Attributes:
-        inner: the planner.
-        noise: share of pulls that are random, in [0, 1].
     """
 
-    inner: PassPlanner = PassPlanner()
-    noise: float = 0.3
-    name: str = "noisy"
-
-    def player(self, batch: EpisodeBatch) -> Player:
-        """Return a player for the lanes of a batch."""
-        return _NoisyPlayer(self, batch)
-
-
-class _NoisyPlayer(Player):
-    def __init__(self, policy: Noisy, batch: EpisodeBatch) -> None:
-        self._inner, self._batch, self._noise = policy.inner.player(batch), batch, policy.noise
+    def __init__(self, config: PolicyConfig, batch: EpisodeBatch) -> None:
+        self._inner, self._batch, self._noise = PassPlayer(config, batch), batch, config.noise
         self._rngs: dict[int, np.random.Generator] = {}
         self._drawn = np.full(batch.count, -1)  # the step of which it was drawn whether it is noisy
         self._noisy, self._wandering = np.zeros((2, batch.count), bool)
@@ -102,7 +68,7 @@ class _NoisyPlayer(Player):
             # The first draws of an episode: whether it wanders, and where to.
             self._wandering[index] = rng.random() < _WANDERING
             if self._wandering[index]:
-                self._inner.lead(index, random_pass(beads, rng))
+                self._inner.lead(index, Pass.drawn(beads, rng))
 
     def act(self, ids: Ids) -> Pulls:
         # a lane that waits for its search is asked again at the same step
@@ -126,34 +92,14 @@ class _NoisyPlayer(Player):
         return _together([Pulls(noisy, beads, forces), inner])
 
 
-@dataclass(frozen=True)
-class Play(ChoosesPulls):
-    """A `PassPlanner` on its way to one goal after another, in endless tasks.
-
-    The first goal is the episode's. Whenever one is reached, another is drawn: half the time a code
-    of the task's goals, half the time one of its starts, so ropes are tied and untied in turn.
-    Where a search finds nothing, another goal is drawn, after a random pass: of a dozen, the one
-    that leaves the fewest crossings.
-
-    Attributes:
-        inner: the planner.
-    """
-
-    inner: PassPlanner = PassPlanner()
-    name: str = "play"
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; it must be endless, and its actions must be pulls."""
-        if not task.endless:
-            raise InvalidPolicy(
-                "policy play goes on after every goal, so the task must be endless; set"
-                " task.endless, and a task.horizon such as 500"
-            )
-        return super().compatible_task(task)
-
-    def player(self, batch: EpisodeBatch) -> Player:
-        """Return a player for the lanes of a batch."""
-        return PlayPlayer(self.inner, batch)
+def is_endless(task: TaskConfig) -> TaskConfig:
+    """Return the task; it must be endless, and its actions must be pulls."""
+    if not task.endless:
+        raise InvalidPolicy(
+            "policy play goes on after every goal, so the task must be endless; set"
+            " task.endless, and a task.horizon such as 500"
+        )
+    return chooses_pulls(task)
 
 
 class _Simplest(NamedTuple):
@@ -164,8 +110,16 @@ class _Simplest(NamedTuple):
 
 
 class PlayPlayer(PassPlayer):
-    def __init__(self, policy: PassPlanner, batch: EpisodeBatch) -> None:
-        super().__init__(policy, batch)
+    """A `PassPlayer` on its way to one goal after another, in endless tasks: the policy `play`.
+
+    The first goal is the episode's. Whenever one is reached, another is drawn: half the time a code
+    of the task's goals, half the time one of its starts, so ropes are tied and untied in turn.
+    Where a search finds nothing, another goal is drawn, after a random pass: of a dozen, the one
+    that leaves the fewest crossings.
+    """
+
+    def __init__(self, config: PolicyConfig, batch: EpisodeBatch) -> None:
+        super().__init__(config, batch)
         self._rngs: dict[int, np.random.Generator] = {}
         self._sides = [batch.side_codes(side) for side in ("start", "goal")]
 
@@ -196,9 +150,10 @@ class PlayPlayer(PassPlayer):
         rng, beads = self._rngs[index], self.batch.simulation.points.shape[1]
         # as many as a search has slots: all are simulated side by side, for the price of little
         # more than one
-        passes = [random_pass(beads, rng) for _ in range(SLOTS)]
+        passes = [Pass.drawn(beads, rng) for _ in range(SLOTS)]
         (state,), _ = self.desk.in_chain(self.batch.simulation, np.array([index]))
-        self.desk.ask(self, index, _simplest(state, passes, self.goals[index]), SLOTS)
+        search = _simplest(state, passes, self.goals[index])
+        self.desk.ask(index, search, self.decided, SLOTS)
 
     def _draw_goal(self, index: int) -> None:
         rng, (code,) = self._rngs[index], self.batch.codes_of(np.array([index]))
@@ -223,34 +178,13 @@ def _simplest(state: Array, passes: list[Pass], goal: GaussCode) -> Search[_Simp
     return _Simplest(passes[min(left, key=lambda slot: (left[slot], slot))], spent)
 
 
-@dataclass(frozen=True)
-class Mixed:
-    """Draws one of several policies for each episode when it begins.
+class MixedPlayer(Player):
+    """One of the policies MIXED for each episode, drawn when it begins: the policy `mixed`."""
 
-    Attributes:
-        policies: the policies.
-        shares: how likely each is, up to a factor.
-    """
-
-    policies: tuple[Policy, ...]
-    shares: tuple[float, ...]
-    name: str = "mixed"
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task with what all of the policies need."""
-        for policy in self.policies:
-            task = policy.compatible_task(task)
-        return task
-
-    def player(self, batch: EpisodeBatch) -> Player:
-        """Return a player for the lanes of a batch."""
-        return _MixedPlayer(self, batch)
-
-
-class _MixedPlayer(Player):
-    def __init__(self, policy: Mixed, batch: EpisodeBatch) -> None:
-        self._players = [one.player(batch) for one in policy.policies]
-        self._policies, self._shares = policy.policies, np.array(policy.shares) / sum(policy.shares)
+    def __init__(self, config: PolicyConfig, batch: EpisodeBatch) -> None:
+        self._players: list[Player] = [RandomPlayer(batch), ScriptedPlayer(batch)]
+        self._players += [NoisyPlayer(config, batch), PassPlayer(config, batch)]
+        self._shares = np.array(config.shares) / sum(config.shares)
         self._chosen = np.zeros(batch.count, np.int64)
         self.names = [""] * batch.count
 
@@ -263,7 +197,7 @@ class _MixedPlayer(Player):
         for index, rng in zip(ids.tolist(), rngs, strict=True):
             # the policy is drawn first, then the same generator is that policy's
             self._chosen[index] = rng.choice(len(self._players), p=self._shares)
-            self.names[index] = self._policies[self._chosen[index]].name
+            self.names[index] = MIXED[self._chosen[index]]
         for number, player in enumerate(self._players):
             own = self._chosen[ids] == number
             if own.any():

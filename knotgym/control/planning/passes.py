@@ -27,21 +27,14 @@ from knotgym.control.planning.sights import (
     IMAGES,
     Diagram,
     Sight,
-    canonical_image,
     first_goal,
-    see,
 )
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass, TowBound
 from knotgym.states import CODE_SPLITS
 from knotgym.topology import GaussCode
 
-DATA = Path(str(files("knotgym.control.planning") / "data"))
-# The tables that ship, by the split whose starts and goals were played: nobody who is tested on
-# codes held out may know what `train` goals say about them.
-PASSES = {"train": DATA / "passes.h5", "train-code": DATA / "passes-by-code.h5"}
-# counted towards every code of 2 to 4 crossings; the split by state holds out no code
-EVERY_CODE = DATA / "passes-every-code.h5"
+_DATA = Path(str(files("knotgym.control.planning") / "data"))
 
 # Failures added to those counted, so that two of two doesn't pass for sure; and the discount of a
 # pass, because fewer are better. Both were chosen by hand; others do as well: of 128 ties and
@@ -49,7 +42,6 @@ EVERY_CODE = DATA / "passes-every-code.h5"
 # discount of 0.94 117. Paths of so many passes count.
 _DOUBT, _DISCOUNT, _SWEEPS = 3.0, 0.97, 16
 _BOUNDED = 4  # times as many candidates where towing is limited: the order doesn't know what tows
-_CLOSE = 8  # fewest beads along the rope between the two of a random pass
 _STEPS = 50  # pulls of a path to the goal, at most: the horizon of the tasks
 
 
@@ -66,6 +58,24 @@ class PassValues:
         self._chance = _DISCOUNT * moves.seen / (moves.tried + _DOUBT)
         self._values: dict[GaussCode, tuple[Array, Array]] = {}
         self._orders: dict[tuple[GaussCode, Diagram], list[tuple[int, float]]] = {}
+
+    @staticmethod
+    def table(split: str = "train", *, every_code: bool = False) -> Path:
+        """Return the table that ships for a task's split.
+
+        Args:
+            split: splits by code have a table of their own, from play that met no start and no goal
+                that is held out: nobody who is tested on them may know what `train` goals say.
+            every_code: whether the table was counted towards every code of 2 to 4 crossings, or
+                towards train goals alone; makes no difference to splits by code.
+        """
+        name = "passes-every-code" if every_code else "passes"
+        return _DATA / f"{'passes-by-code' if split in CODE_SPLITS else name}.h5"
+
+    @classmethod
+    def of_split(cls, split: str = "train", *, every_code: bool = False) -> PassValues:
+        """Return the values of the table that ships for a task's split; see `table`."""
+        return _loaded(cls.table(split, every_code=every_code))
 
     def reach(self, goal: GaussCode, diagram: Diagram) -> float:
         """The chance to reach a goal from a diagram; 0 if the table doesn't know how."""
@@ -100,7 +110,7 @@ class PassValues:
         """
         first, seen_as = first_goal(goal)
         moved = diagram.image(seen_as)
-        image = canonical_image(moved)[1]
+        image = moved.canonical()[1]
         if (first, moved) not in self._orders:
             self._orders[first, moved] = self._ordered(first, moved, image)
         for number, worth in self._orders[first, moved]:
@@ -130,20 +140,6 @@ class PassValues:
             nearer = [np.where(moves.nearer(reach, k), chance, 0.0) for k in range(IMAGES)]
             self._values[goal] = reach, moves.values(shown, nearer, _SWEEPS)
         return self._values[goal]
-
-
-def pass_values(split: str = "train", *, every_code: bool = False) -> PassValues:
-    """Values for a task's split, from the tables that ship.
-
-    Args:
-        split: splits by code have a table of their own, from play that met no start and no goal
-            that is held out.
-        every_code: whether the table was counted towards every code, or towards train goals alone;
-            makes no difference to splits by code.
-    """
-    if split in CODE_SPLITS:
-        return _loaded(PASSES["train-code"])
-    return _loaded(EVERY_CODE if every_code else PASSES["train"])
 
 
 @lru_cache(maxsize=3)
@@ -202,7 +198,7 @@ class PassSearch:
 
     def run(self, state: Array, points: Array) -> Search[PassPlan]:
         """Search from a state of the chain engine, and its points (beads, 3)."""
-        (sight,) = see(points[None])
+        (sight,) = Sight.of(points[None])
         passes = yield from self._passes(state, points, sight, _STEPS, self.act_out)
         return PassPlan(passes, self.spent, self.tried)
 
@@ -231,22 +227,16 @@ class PassSearch:
             # Only diagrams nearer to the goal are followed, so a search never comes back to one.
             # All that can be done from this landing comes before the next pass from here.
             elif remaining > 0 and not landing.lost and landing.code != here.code:
-                (there,) = see(landing.points[None])
+                (there,) = Sight.of(landing.points[None])
                 if self.values.reach(goal, there.diagram) > chance:
                     rest = yield from self._passes(landing.state, landing.points, there, remaining)
                     found = [tried, *rest] if rest else []
             if found and act_out is not None:
                 landed, pulls = act_out(move)
                 self.spent += pulls
-                diagram = see(landed[None])[0].diagram
+                diagram = Sight.of(landed[None])[0].diagram
                 if not diagram.code.matches(goal) and self.values.reach(goal, diagram) <= chance:
                     continue
             if found:
                 return found
         return []
-
-
-def random_pass(beads: int, rng: np.random.Generator) -> Pass:
-    """Draw a pass over or under any bead that isn't close along the rope."""
-    bead, apart = int(rng.integers(beads)), int(rng.integers(_CLOSE, beads - _CLOSE + 1))
-    return Pass(bead, (bead + apart) % beads, (-1, 1)[int(rng.integers(2))])

@@ -1,4 +1,4 @@
-"""The two planners as policies: `PassPlanner` (named expert) and `PullPlanner` (named planner).
+"""The two planners at work: `PassPlayer` (policy expert) and `PullPlayer` (policy planner).
 
 Both search in the chain engine, whichever engine an episode has. All searches of a player run side
 by side. A lane whose next move is being searched for waits while the others go on, so neither
@@ -13,10 +13,10 @@ All episodes of nx 2 and 94 % of nx 3 must succeed, and with `--policy planner` 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +28,12 @@ from knotgym.control.planning.passes import (
     PassSearch,
     PassValues,
     TriedPass,
-    pass_values,
 )
 from knotgym.control.planning.pulls import PullPlan, PullSearch
-from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
-from knotgym.control.sampler import Player, Pulls, rollouts
+from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
+from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import (
-    CHAIN,
     LONGEST,
     Array,
     ChainSimulation,
@@ -56,72 +54,17 @@ _SPARE = 2  # ropes to search in, per rope of the batch
 _TOWING = 0.9
 
 
-class ChoosesPulls:
-    """Base of policies that choose pulls."""
+def chooses_pulls(task: TaskConfig) -> TaskConfig:
+    """Return the task.
 
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task.
-
-        Raises:
-            InvalidPolicy: its actions are of another view than pulls.
-        """
-        if task.action != "pull":
-            raise InvalidPolicy(
-                f"this policy chooses pulls, so its action must be 'pull', got {task.action!r}"
-            )
-        return task
-
-
-@dataclass(frozen=True)
-class PullPlanner(ChoosesPulls):
-    """Leads ropes to their goals by plans of pulls.
-
-    Each episode has a budget of simulated pulls for all its plans together. Once it is used up, the
-    rope is left alone.
-
-    Attributes:
-        config: settings.
-        values: the table that guides it; None for the one that ships for the task's split.
+    Raises:
+        InvalidPolicy: its actions are of another view than pulls.
     """
-
-    config: PullPlannerConfig = PullPlannerConfig()
-    values: PassValues | None = None
-    name: str = "planner"
-
-    def player(self, batch: EpisodeBatch) -> PullPlayer:
-        """Return a player for the lanes of a batch."""
-        desk = Desk(batch, self.config.batch_size)
-        return PullPlayer(self, batch, desk)
-
-
-@dataclass(frozen=True)
-class PassPlanner(ChoosesPulls):
-    """Leads ropes to their goals by passes: the same state and goal, the same pass.
-
-    Each pass is acted out until its end, the goal, or LONGEST pulls. Where the rope then lies
-    exactly as the search foresaw, which in the chain engine it does, the next pass that was found
-    follows; otherwise it searches again. So what it does is a function of the rope's state, which a
-    network can learn. Where a search finds nothing, a `PullPlanner` acts until the episode ends.
-
-    Attributes:
-        config: settings.
-        pulls: settings of the planner that is the last resort.
-        values: order of the passes; None for the one that ships for the task's split.
-    """
-
-    config: PassPlannerConfig = PassPlannerConfig()
-    pulls: PullPlannerConfig = PullPlannerConfig()
-    values: PassValues | None = None
-    name: str = "expert"
-
-    def player(self, batch: EpisodeBatch) -> PassPlayer:
-        """Return a player for the lanes of a batch."""
-        return PassPlayer(self, batch)
-
-
-class _Asker(Protocol):
-    def decided(self, index: int, found: Any) -> None:
-        """Go on in a lane after its search."""
+    if task.action != "pull":
+        raise InvalidPolicy(
+            f"this policy chooses pulls, so its action must be 'pull', got {task.action!r}"
+        )
+    return task
 
 
 class Desk:
@@ -143,7 +86,7 @@ class Desk:
         self.search = BatchedSearch(max(_SPARE * count, slots), rope)
         self.check = simulation_of(1, rope.config, batch.simulation.engine)
         self.thinking, self.planned = np.zeros(count, bool), np.zeros(count, np.int64)
-        self._askers: dict[int, _Asker] = {}
+        self._told: dict[int, Callable[[int, Any], None]] = {}
         self._follower = WaypointFollower(1)
         self._laid: ChainSimulation | None = None
 
@@ -159,9 +102,15 @@ class Desk:
             self.search.drop(index)
         self.thinking[ids] = False
 
-    def ask(self, asker: _Asker, index: int, search: Search[Any], slots: int = 1) -> None:
-        """Begin a search for a lane, whose result `asker` will be told."""
-        self.thinking[index], self._askers[index] = True, asker
+    def ask(
+        self,
+        index: int,
+        search: Search[Any],
+        decided: Callable[[int, Any], None],
+        slots: int = 1,
+    ) -> None:
+        """Begin a search for a lane; `decided` will be called with the lane and the result."""
+        self.thinking[index], self._told[index] = True, decided
         self.search.add(index, search, slots)
 
     def tick(self) -> None:
@@ -169,7 +118,7 @@ class Desk:
         for index, found in self.search.tick():
             self.thinking[index] = False
             self.planned[index] += found.spent
-            self._askers[index].decided(index, found)
+            self._told[index](index, found)
 
     def in_chain(self, simulation: Simulation, ids: Ids) -> tuple[Array, Array]:
         """States in the chain engine, and points (n, beads, 3), of ropes of any engine.
@@ -201,11 +150,19 @@ class Desk:
 
 
 class PullPlayer(Player):
-    """A `PullPlanner` at work; see `Player`."""
+    """Leads ropes to their goals by plans of pulls: the policy `planner`.
 
-    def __init__(self, policy: PullPlanner, batch: EpisodeBatch, desk: Desk) -> None:
-        self._config, self._batch, self._desk = policy.config, batch, desk
-        self._values = policy.values or pass_values(batch.task.split)
+    Each episode has a budget of simulated pulls for all its plans together. Once it is used up, the
+    rope is left alone.
+    """
+
+    def __init__(
+        self, config: PullPlannerConfig, batch: EpisodeBatch, desk: Desk | None = None
+    ) -> None:
+        """Take settings, the lanes, and the desk, which others may use too."""
+        self._config, self._batch = config, batch
+        self._desk = desk = desk or Desk(batch, config.batch_size)
+        self._values = PassValues.of_split(batch.task.split)
         self._rngs: dict[int, np.random.Generator] = {}
         self._plans: dict[int, PullPlan] = {}
         # pulls taken of the plan; pulls simulated for all plans of the episode
@@ -249,9 +206,9 @@ class PullPlayer(Player):
             left = int(batch.task.horizon - batch.steps[index])
             budget = int(config.budget - self._spent[index])
             made = search.checked(self._desk.check, self._in_chain, state, left, budget)
-            self._desk.ask(self, index, made, config.batch_size)
+            self._desk.ask(index, made, self._decided, config.batch_size)
 
-    def decided(self, index: int, plan: PullPlan) -> None:
+    def _decided(self, index: int, plan: PullPlan) -> None:
         """Follow a plan that a search has found."""
         self._plans[index] = plan
         self._taken[index] = 0
@@ -276,21 +233,24 @@ class PullPlayer(Player):
 
 
 class PassPlayer(Player):
-    """A `PassPlanner` at work; see `Player`.
+    """Leads ropes to their goals by passes, the same state and goal, the same pass: `expert`.
+
+    Each pass is acted out until its end, the goal, or LONGEST pulls. Where the rope then lies
+    exactly as the search foresaw, which in the chain engine it does, the next pass that was found
+    follows; otherwise it searches again. So what it does is a function of the rope's state, which a
+    network can learn. Where a search finds nothing, a `PullPlayer` acts until the episode ends.
 
     Attributes:
         goals: the code that each lane is led to.
     """
 
-    def __init__(self, policy: PassPlanner, batch: EpisodeBatch) -> None:
-        self._config, self.batch, count = policy.config, batch, batch.count
-        self._values = policy.values or pass_values(batch.task.split)
-        slots = max(SLOTS, policy.pulls.batch_size)
-        self.desk = Desk(batch, slots)
+    def __init__(self, config: PolicyConfig, batch: EpisodeBatch) -> None:
+        self._config, self.batch, count = config.expert, batch, batch.count
+        self._values = PassValues.of_split(batch.task.split)
+        self.desk = Desk(batch, max(SLOTS, config.planner.batch_size))
         # in the last resort the planner of pulls may simulate less than where it is the policy
-        least = min(policy.pulls.budget, policy.config.last_resort)
-        pulls = PullPlanner(replace(policy.pulls, budget=least), self._values)
-        self._last_resort = PullPlayer(pulls, batch, self.desk)
+        least = min(config.planner.budget, config.expert.last_resort)
+        self._last_resort = PullPlayer(replace(config.planner, budget=least), batch, self.desk)
         self._by_pulls = np.zeros(count, bool)  # whether the last resort acts
         self._follower = WaypointFollower(count)
         self._moves, self._taken = np.zeros((count, 3), np.int64), np.zeros(count, np.int64)
@@ -392,10 +352,4 @@ class PassPlayer(Player):
             goal, bound = self.goals[index], self.batch.tow_bound(index, _TOWING)
             act_out = None if is_chain else partial(self.desk.act_out, real, goal)
             search = PassSearch(self._values, goal, self._config, bound, act_out)
-            self.desk.ask(self, index, search.run(state, rope))
-
-
-def compile_planning() -> None:
-    """Compile what the expert needs, by two pulls of an episode in the chain engine."""
-    task = TaskConfig(task="tie", nx=2, engine=CHAIN, horizon=2, observation="state")
-    rollouts(PassPlanner(), task, [0])
+            self.desk.ask(index, search.run(state, rope), self.decided)

@@ -1,8 +1,8 @@
 """Plan pulls: the search of the policy `planner`.
 
 This is a best-first search with random choices. A pool holds the states met so far, grouped by
-code. Each iteration picks a state from the pool, preferring codes that are near the goal
-(`guidance`), and applies one macro-action to it, on several ropes side by side. The macro-action is
+code. Each iteration picks a state from the pool, preferring codes that are near the goal (see
+`Guide`), and applies one macro-action to it, on several ropes side by side. The macro-action is
 random or like a pass of the expert's table. Ropes with many crossings may be hauled instead. Every
 state with a new code joins the pool.
 
@@ -17,19 +17,22 @@ planner`: all episodes of nx 2 and 3 must succeed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
-from knotgym.control.planning.guidance import Guide, drawn_index, guide_to
 from knotgym.control.planning.passes import PassValues
+from knotgym.control.planning.sights import Sight, first_goal
 from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.rope import Array, Haul, MacroAction, Simulation, TowBound
-from knotgym.topology import GaussCode, label
+from knotgym.topology import GaussCode, images, label
 
 # Hauls, tried on the hard unknots of notes/drawing.md: without them 0 of 64 Culprits came undone.
 # Other values of these six numbers weren't measured.
@@ -51,6 +54,78 @@ _LONGEST = 10  # pulls of a macro-action, at most
 # Pulls simulated for the first plan; twice as many after each from the root that finds none. One
 # of more than so many begins again, as other draws may do better.
 _LOOK, _LONGEST_LOOK = 4000, 20_000
+# Guidance, tried at tie nx 3 in the chain, 64 episodes, all solved: 544 pulls simulated for an
+# episode; 685 with 20 passes for the second, 735 with twice the third. A first of 1 would never
+# leave a code for which the table knows only passes that fail.
+_GUIDED = 0.8  # share of macro-actions that are passes of the table, where it has any
+_BEST = 8  # passes of a rope that are drawn from, by what they are worth
+_UNIT = 10.0  # distance at which the chance to reach the goal is 1 / e
+# Where no way is known, only the order counts: what codes of so many crossings are farther by.
+_STRANGE = 30.0
+_GOALS_KEPT = 128  # goals whose distances are kept, a megabyte or two each
+
+
+class Guide:
+    """Distances from codes to one goal, and macro-actions towards it.
+
+    The table says how likely passes lead from a diagram to a goal. The planner of pulls knows codes
+    alone, so a code stands for that of its diagrams from which the chance is highest. Chances
+    multiply along a way, so minus their logarithms add up, as distances do. A code from which no
+    way is known counts as farther than all from which one is, and the farther the more crossings
+    differ.
+    """
+
+    def __init__(self, values: PassValues, goal: GaussCode) -> None:
+        """Take the table and a goal, which is compared without chirality."""
+        self._values, self._goal = values, goal
+        first, self._image = first_goal(goal)
+        chances = values.chances(first)
+        self._best = dict[GaussCode, float]()
+        for node, index in values.moves.index.items():
+            self._best[node.code] = max(self._best.get(node.code, 0.0), float(chances[index]))
+        known = [chance for chance in self._best.values() if chance > 0]
+        self._farthest = _UNIT * -math.log(min(known, default=1.0))
+
+    def distance(self, code: GaussCode) -> float:
+        """The distance from a code with chirality to the goal, at least 0."""
+        chance = self._chance(code)
+        if chance:
+            return _UNIT * -math.log(chance)
+        return self._farthest + _STRANGE * max(1, abs(code.nx - self._goal.nx))
+
+    def hops(self, code: GaussCode) -> int | None:
+        """About how many passes lead to the goal, if each works half the time; None if unknown."""
+        chance = self._chance(code)
+        if chance == 1.0:
+            return 0
+        return max(1, round(-math.log2(chance))) if chance else None
+
+    def propose(self, points: Array, rng: np.random.Generator) -> MacroAction:
+        """Draw a macro-action for a rope: like one of the table's passes, or any.
+
+        Args:
+            points: float64 (beads, 3), metres: where the rope lies.
+            rng: source of all draws.
+        """
+        if rng.random() < _GUIDED:
+            (sight,) = Sight.of(points[None])
+            found = [*islice(self._values.passes(self._goal, sight), _BEST)]
+            if found:
+                move, _ = found[_drawn_index(np.array([worth for _, worth in found]), rng)]
+                return MacroAction.passing(points, move, rng)
+        return MacroAction.drawn(points, rng)
+
+    def _chance(self, code: GaussCode) -> float:
+        """The chance to reach the goal; 0 if none is known, 1 if the code is the goal's."""
+        if code.matches(self._goal):
+            return 1.0
+        return self._best.get(images(code)[self._image], 0.0)
+
+
+@lru_cache(maxsize=_GOALS_KEPT)
+def guide_to(goal: GaussCode, values: PassValues) -> Guide:
+    """Return the guide to a goal, which is given without chirality."""
+    return Guide(values, goal)
 
 
 @dataclass(eq=False)
@@ -144,11 +219,11 @@ class _Pool:
             / (1 + self._tries / _WEARINESS)
             * np.exp(-(late - late.min()) / _PATIENCE)
         )
-        row = drawn_index(weights, rng)
+        row = _drawn_index(weights, rng)
         # among the code's states: early ones, and ones tried less often
         nodes = self._nodes[row]
         fresh = [np.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in nodes]
-        node = nodes[drawn_index(np.array(fresh), rng)]
+        node = nodes[_drawn_index(np.array(fresh), rng)]
         node.tries += 1
         self._tries[row] += 1
         return node
@@ -330,3 +405,12 @@ def _plan_to(node: _Node, solved: bool, spent: int) -> PullPlan:
         line.append(line[-1].before)
     pulls = [one.beads for one in line[::-1]], [one.forces for one in line[::-1]]
     return PullPlan(np.concatenate(pulls[0]), np.concatenate(pulls[1]), solved, spent)
+
+
+def _drawn_index(weights: Array, rng: np.random.Generator) -> int:
+    """Draw an index with probability proportional to its weight."""
+    # `Generator.choice` draws the same index from the same number of the stream, but its checks of
+    # the arguments take far longer.
+    shares = (weights / weights.sum()).cumsum()
+    # divided again, as `choice` does: rounding may leave the last sum a little off 1
+    return int((shares / shares[-1]).searchsorted(rng.random(), side="right"))

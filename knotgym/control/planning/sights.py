@@ -51,6 +51,10 @@ class Diagram(NamedTuple):
         """Apply a symmetry; applying it twice gives the diagram back."""
         return _images(self)[number] if number else self
 
+    def canonical(self) -> tuple[Diagram, int]:
+        """Return the first of the images, and the number of the symmetry that gives it."""
+        return _canonical(self)
+
 
 class Sight(NamedTuple):
     """What a rope looks like from above.
@@ -63,6 +67,18 @@ class Sight(NamedTuple):
 
     diagram: Diagram
     cuts: Sequence[float]
+
+    @staticmethod
+    def of(points: Array) -> list[Sight]:
+        """See ropes at `points`, float64 (n, beads, 3), metres."""
+        codes = label_many(points)
+        most = 2 * max([code.nx for code in codes], default=0)
+        cuts, darts = (array.tolist() for array in _sights(np.ascontiguousarray(points), most))
+        beads = float(points.shape[1])
+        return [
+            Sight(_seen(code, dart), (0.0, *ends[: 2 * code.nx], beads))
+            for code, dart, ends in zip(codes, darts, cuts, strict=True)
+        ]
 
     def bead(self, position: float) -> int:
         """The bead at a position, which is clipped to the arcs there are."""
@@ -80,21 +96,8 @@ class Sight(NamedTuple):
         return arc + min(0.999, (middle - start) / max(1e-9, end - start))
 
 
-def see(points: Array) -> list[Sight]:
-    """See ropes at `points`, float64 (n, beads, 3), metres."""
-    codes = label_many(points)
-    most = 2 * max([code.nx for code in codes], default=0)
-    cuts, darts = (array.tolist() for array in _sights(np.ascontiguousarray(points), most))
-    beads = float(points.shape[1])
-    return [
-        Sight(_seen(code, dart), (0.0, *ends[: 2 * code.nx], beads))
-        for code, dart, ends in zip(codes, darts, cuts, strict=True)
-    ]
-
-
 @lru_cache(maxsize=200_000)
-def canonical_image(diagram: Diagram) -> tuple[Diagram, int]:
-    """Return the first of a diagram's images, and the number of the symmetry that gives it."""
+def _canonical(diagram: Diagram) -> tuple[Diagram, int]:
     members = _images(diagram)
     number = min(range(IMAGES), key=lambda k: (*_order(members[k]), k))
     return members[number], number

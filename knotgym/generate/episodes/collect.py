@@ -38,7 +38,7 @@ from knotgym.datasets import (
 )
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.episode_configs import OBSERVATION, CollectConfig, plain_id
-from knotgym.generate.episodes.recordings import RECORDINGS, replay
+from knotgym.generate.episodes.recordings import RECORDINGS, rebuilt
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.rope import CHAIN, MUJOCO
 from knotgym.runs import (
@@ -158,7 +158,7 @@ def collect(
     files = {RECORDINGS.name: RECORDINGS} if recorded else {}
     made_by = identity(config, files, also=advisers)
     return run(
-        lambda place: _episodes_of(config, made_by, place, replay if recorded else play),
+        lambda place: _episodes_of(config, made_by, place, rebuilt if recorded else play),
         _dataset_folder(config, out),
         made_by,
         options,

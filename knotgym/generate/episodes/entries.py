@@ -41,8 +41,8 @@ from knotgym.common import (
     sha256,
     write_tables,
 )
-from knotgym.control import RecordedPolicy, rollouts
-from knotgym.datasets import PULLS, RECORDED, STEPS, Episodes
+from knotgym.control import replay
+from knotgym.datasets import PULLS, RECORDED, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
@@ -191,7 +191,7 @@ def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> 
     given = Episodes(
         Table(RECORDED.only(*columns), columns), Table(PULLS.only("bead", "force"), whole)
     )
-    made = rollouts(RecordedPolicy(given), task, seeds, keep=STEPS)
+    made = replay(given, task, seeds)
     wrong = (made.episodes["length"] != lengths) | (digests(made) != rows["digest"]).any(axis=1)
     return {**made._replace(steps=made.steps.only("bead")).columns(), "wrong": wrong}
 

@@ -33,7 +33,7 @@ from knotgym.common import (
     read_tables,
     write_tables,
 )
-from knotgym.control import RecordedPolicy, rollouts
+from knotgym.control import replay
 from knotgym.datasets import MACROS, PULLS, RECORDED, Episodes
 from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.rope import FORCE_BINS, quantized
@@ -136,7 +136,7 @@ def first_difference(episodes: Episodes, recording: Recording) -> int | None:
     return None if same.all() else int(same.argmin())
 
 
-def replay(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Result:
+def rebuilt(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Result:
     """Make a block of a collection's episodes from their recording.
 
     Args:
@@ -155,7 +155,7 @@ def replay(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Re
         )
     own = recording.episodes.select(np.arange(numbers.start, numbers.stop))
     seeds = [Stream.EPISODE.derived_seed(config.seed, number) for number in numbers]
-    return rollouts(RecordedPolicy(own, config.policy.policy), config.policy_task, seeds).columns()
+    return replay(own, config.policy_task, seeds).columns()
 
 
 @lru_cache(maxsize=2)

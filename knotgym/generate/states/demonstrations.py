@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Stream, Table
-from knotgym.control import PassPlanner, PassPlannerConfig, Policy, PullPlanner, rollouts
+from knotgym.control import PassPlannerConfig, PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STARTS, Episodes, MinariMetadata, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.drawing_source import CALLS, drawn_rows, splits_of
@@ -147,9 +147,10 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
         goals: rows of that file.
         attempt: number of the rollout; another start for each.
     """
-    policy: Policy = PullPlanner()
+    config = PolicyConfig(policy="planner")
     if attempt < len(_LAST_RESORT):
-        policy = PassPlanner(PassPlannerConfig(last_resort=_LAST_RESORT[attempt]))
+        expert = PassPlannerConfig(last_resort=_LAST_RESORT[attempt])
+        config = PolicyConfig(policy="expert", expert=expert)
     if attempt < _HASTY:
         task = replace(task, horizon=min(task.horizon, _SHORT))
     batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
@@ -159,7 +160,7 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
     schema = STARTS.sized(nq=batch.start_qpos.shape[1])
     columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)
     starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
-    played = rollouts(policy, task, starts, attempt=attempt)
+    played = rollouts(make_policy(config), task, starts, attempt=attempt)
     return played.select(played.episodes["success"]).columns()
 
 

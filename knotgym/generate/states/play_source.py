@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed, Stream, Table
-from knotgym.control import Ids, Player, Policy, Pulls, Scripted, rollouts
+from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy, rollouts
 from knotgym.datasets import STARTS
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
@@ -45,6 +45,7 @@ from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
 _REACH, _APART, _DRAWN = 0.06, 6, 8
 _SLOPE = 0.1  # most upward or downward part of a pull, in units of the largest force
 
+Ids = NDArray[np.int64]
 BeadsAndForces = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 
@@ -140,7 +141,7 @@ class _PhasePlayer(Player):
         self._policy, self._batch = policy, batch
         self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
         self._drawn = np.zeros((batch.count, policy.config.random, 6), dtype=np.float32)
-        self._scripted = Scripted().player(batch)
+        self._scripted = make_policy(PolicyConfig(policy="scripted")).player(batch)
         config, phases = policy.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
         phases += [(config.random, self._random), (config.opening, self._open)]
         for _ in range(config.rounds):

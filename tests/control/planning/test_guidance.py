@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from knotgym.control.planning import pass_values, see
-from knotgym.control.planning.guidance import drawn_index, guide_to
 from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.passes import PassValues
+from knotgym.control.planning.pulls import _drawn_index, guide_to
+from knotgym.control.planning.sights import Sight
 from knotgym.rope import Array
 from knotgym.topology import GaussCode, images
 
@@ -13,7 +13,7 @@ KINK, THREE = GaussCode.parse("1+c,1-c"), GaussCode.parse("1+c,1-c,2+a,2-a,3+c,3
 
 
 def test_codes_on_the_way_to_the_goal_are_nearer() -> None:
-    guide = guide_to(GOAL, pass_values())
+    guide = guide_to(GOAL, PassValues.of_split())
     far = [guide.distance(code) for code in (GaussCode(GOAL.visits, "ca"), KINK, FLAT)]
     assert far[0] == 0 and far == sorted(far) and len({*far}) == 3
     assert guide.hops(KINK) in (1, 2) and 0 < guide.distance(THREE) < guide.distance(FLAT)
@@ -21,7 +21,10 @@ def test_codes_on_the_way_to_the_goal_are_nearer() -> None:
 
 @pytest.mark.parametrize("image", range(8))
 def test_images_of_a_code_and_goal_are_equally_far(image: int) -> None:
-    here, there = guide_to(GOAL, pass_values()), guide_to(images(GOAL)[image], pass_values())
+    here, there = (
+        guide_to(GOAL, PassValues.of_split()),
+        guide_to(images(GOAL)[image], PassValues.of_split()),
+    )
     assert here.distance(KINK) == there.distance(images(KINK)[image])
     assert here.hops(THREE) == there.hops(images(THREE)[image])
 
@@ -33,8 +36,8 @@ def test_where_no_way_is_known_crossings_count() -> None:
 
 
 def test_most_macro_actions_are_of_the_best_passes(curve: Array) -> None:
-    values, rng = pass_values(), np.random.default_rng(0)
-    guide, best = guide_to(GOAL, values), list(values.passes(GOAL, see(curve[None])[0]))
+    values, rng = PassValues.of_split(), np.random.default_rng(0)
+    guide, best = guide_to(GOAL, values), list(values.passes(GOAL, Sight.of(curve[None])[0]))
     made = [guide.propose(curve, rng) for _ in range(200)]
     passes = {(move.bead, move.target, move.side) for move, _ in best[:8]}
     led = sum((one.bead, one.target, one.side) in passes for one in made)
@@ -45,6 +48,6 @@ def test_an_index_is_drawn_as_generators_choose() -> None:
     for seed in range(300):
         weights = np.random.default_rng(seed).random(1 + seed % 40) ** 4
         rng, other = np.random.default_rng(seed), np.random.default_rng(seed)
-        drawn = drawn_index(weights, rng)
+        drawn = _drawn_index(weights, rng)
         assert drawn == other.choice(len(weights), p=weights / weights.sum())
         assert rng.bit_generator.state == other.bit_generator.state

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from knotgym.control.planning import pass_values
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
 from knotgym.control.planning.passes import (
@@ -10,7 +9,7 @@ from knotgym.control.planning.passes import (
     PassSearch,
     PassValues,
 )
-from knotgym.control.planning.sights import IMAGES, Diagram, canonical_image, see
+from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass
 from knotgym.topology import GaussCode, Symmetry, images
@@ -23,7 +22,7 @@ SELDOM, OFTEN = PassTemplate(AT, 20, 80, 1), PassTemplate(AT, 40, 80, 1)
 
 def made_up() -> PassValues:
     """One pass kinks the loop in 6 of 10, another in 9; a third undoes a kink."""
-    (loop, k), (kinked, j) = canonical_image(LOOP), canonical_image(KINKED)
+    (loop, k), (kinked, j) = LOOP.canonical(), KINKED.canonical()
     counted = [
         (loop, SELDOM, KINKED.image(k), 6, 10),
         (loop, OFTEN, KINKED.image(k), 9, 10),
@@ -52,7 +51,7 @@ def test_the_pass_that_succeeds_most_comes_first() -> None:
 
 @pytest.mark.parametrize("image", range(IMAGES))
 def test_images_of_a_state_and_goal_have_the_same_order(image: int) -> None:
-    values, there = pass_values(), images(GOAL)[image]
+    values, there = PassValues.of_split(), images(GOAL)[image]
     first = [one[0] for one in values.order(GOAL, LOOP)]
     assert len(first) > 20
     assert first == [one[0] for one in values.order(there, LOOP.image(image))]
@@ -69,7 +68,7 @@ def test_a_pass_that_lands_elsewhere_in_the_engine_that_counts_is_not_taken() ->
         return points, 7
 
     def found(act_out: ActOut | None) -> PassPlan:
-        search = PassSearch(pass_values(), GOAL, PassPlannerConfig(), act_out=act_out)
+        search = PassSearch(PassValues.of_split(), GOAL, PassPlannerConfig(), act_out=act_out)
         ((_, plan),) = desk.run([search.run(state, points)])
         return plan
 
@@ -80,9 +79,11 @@ def test_a_pass_that_lands_elsewhere_in_the_engine_that_counts_is_not_taken() ->
 
 def test_a_template_on_an_image_is_the_image_of_the_pass(curve: Array) -> None:
     turned = Symmetry(switch=True, reverse=True)
-    here, there = see(np.array([curve, turned.vertices(curve)]))
+    here, there = Sight.of(np.array([curve, turned.vertices(curve)]))
     most = 100 * (2 * here.diagram.nx + 1)
-    every = [one for one in pass_values().moves.templates if max(one.bead, one.target) < most]
+    every = [
+        one for one in PassValues.of_split().moves.templates if max(one.bead, one.target) < most
+    ]
     for template in every[::37]:
         before, after = template.on(here, 0), template.on(there, 0b110)
         wanted = turned.beads(np.array(before[:2]), len(curve))
@@ -92,8 +93,8 @@ def test_a_template_on_an_image_is_the_image_of_the_pass(curve: Array) -> None:
 
 
 def test_every_pass_is_proposed_once_and_passes_another_bead(curve: Array) -> None:
-    (sight,) = see(curve[None])
-    proposed = [move for move, _ in pass_values().passes(FLAT, sight)]
+    (sight,) = Sight.of(curve[None])
+    proposed = [move for move, _ in PassValues.of_split().passes(FLAT, sight)]
     assert len(proposed) == len({*proposed}) > 5
     assert all(isinstance(move, Pass) and move.bead != move.target for move in proposed)
 
@@ -109,15 +110,17 @@ KNOWN = {
 @pytest.mark.parametrize(("split", "every_code"), KNOWN)
 def test_the_tables_that_ship_say_what_was_counted(split: str, every_code: bool) -> None:
     goal, reach, template, worth = KNOWN[split, every_code]
-    values = pass_values(split, every_code=every_code)
+    values = PassValues.of_split(split, every_code=every_code)
     assert values.reach(GaussCode.parse(goal), LOOP) == pytest.approx(reach, rel=1e-14)
     first, _, found = next(values.order(GaussCode.parse(goal), LOOP))
     assert (values.moves.templates[first], found) == (template, worth)
 
 
 def test_splits_by_code_have_an_order_of_their_own() -> None:
-    assert pass_values("test") is pass_values("train")
-    assert pass_values("test-code") is pass_values("train-code")
-    assert pass_values("test-code", every_code=True) is pass_values("test-code")
-    one, other = (list(pass_values(split).order(GOAL, LOOP)) for split in ("train", "test-code"))
+    assert PassValues.of_split("test") is PassValues.of_split("train")
+    assert PassValues.of_split("test-code") is PassValues.of_split("train-code")
+    assert PassValues.of_split("test-code", every_code=True) is PassValues.of_split("test-code")
+    one, other = (
+        list(PassValues.of_split(split).order(GOAL, LOOP)) for split in ("train", "test-code")
+    )
     assert one and other and one != other

@@ -3,19 +3,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from knotgym.control.planning import PassPlanner, PullPlanner
-from knotgym.control.planning.pass_policies import Play
-from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
-from knotgym.control.sampler import Policy, rollouts
+from knotgym.control.planning.planners import PassPlayer, PullPlayer
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PassPlannerConfig, PolicyConfig, PullPlannerConfig
+from knotgym.control.sampler import rollouts
 from knotgym.envs import EpisodeBatch, TaskConfig
 
 TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
+EXPERT = PolicyConfig(policy="expert")
 
 
 def test_the_same_state_gets_the_same_pass() -> None:
     batch = EpisodeBatch(TASK, 2)
     batch.begin(np.arange(2), [3, 3])
-    player, ids = PassPlanner().player(batch), np.arange(2)
+    player, ids = PassPlayer(EXPERT, batch), np.arange(2)
     player.begin(ids, [np.random.default_rng(k) for k in range(2)])
 
     def act() -> tuple[np.ndarray, np.ndarray]:
@@ -37,14 +38,15 @@ def test_the_same_state_gets_the_same_pass() -> None:
     assert np.array_equal(forces[0], forces[1]) and macros[:, 0].tolist() == [1, 1]
 
 
-@pytest.mark.parametrize("policy", [PassPlanner(), PullPlanner()], ids=lambda one: one.name)
-def test_planners_reach_their_goals(policy: Policy) -> None:
-    found = rollouts(policy, TASK, range(6))
+@pytest.mark.parametrize("name", ["expert", "planner"])
+def test_planners_reach_their_goals(name: str) -> None:
+    found = rollouts(make_policy(PolicyConfig(policy=name)), TASK, range(6))
     assert found.episodes["success"].all() and (found.episodes["planner_steps"] > 0).all()
 
 
 def test_where_no_pass_is_found_pulls_are_planned() -> None:
-    hopeless = PassPlanner(PassPlannerConfig(candidates=1, budget=1))
+    config = replace(EXPERT, expert=PassPlannerConfig(candidates=1, budget=1))
+    hopeless = make_policy(config)
     found, alone = (rollouts(hopeless, TASK, range(4), lanes=lanes) for lanes in (4, 1))
     assert found.episodes["success"].all() and found.episodes["planner_steps"].mean() > 50
     assert found.differences(alone) == []
@@ -52,45 +54,46 @@ def test_where_no_pass_is_found_pulls_are_planned() -> None:
 
 def test_pulls_planned_one_by_one_are_labelled_as_part_of_no_pass() -> None:
     task = replace(TASK, nx=3, split="train", engine="mujoco")
-    steps = rollouts(PassPlanner(), task, [9]).steps  # a pass ends short of its last waypoint
+    steps = rollouts(make_policy(EXPERT), task, [9]).steps  # a pass ends short of its last waypoint
     led = steps["macro_side"] != 0
     assert 0 < led.sum() < len(led) - 2
     assert (steps["macro_bead"][led] == steps["bead"][led]).all()
 
 
 def test_a_rope_is_left_alone_when_the_budget_is_used_up() -> None:
-    found = rollouts(PullPlanner(PullPlannerConfig(budget=0)), TASK, range(2))
+    config = PolicyConfig(policy="planner", planner=PullPlannerConfig(budget=0))
+    found = rollouts(make_policy(config), TASK, range(2))
     assert (found.episodes["planner_steps"] == 0).all() and not found.steps["force"].any()
 
 
-@pytest.mark.parametrize("policy", [PassPlanner(), PullPlanner()], ids=lambda one: one.name)
-def test_plans_hold_in_the_engine_of_the_episode(policy: Policy) -> None:
-    found = rollouts(policy, replace(TASK, engine="mujoco"), [0])
+@pytest.mark.parametrize("name", ["expert", "planner"])
+def test_plans_hold_in_the_engine_of_the_episode(name: str) -> None:
+    found = rollouts(make_policy(PolicyConfig(policy=name)), replace(TASK, engine="mujoco"), [0])
     assert found.episodes["success"].all()
 
 
 def test_a_goal_is_held_by_lying_still() -> None:
-    found = rollouts(PassPlanner(), replace(TASK, hold=3), range(3))
+    found = rollouts(make_policy(EXPERT), replace(TASK, hold=3), range(3))
     assert found.episodes["success"].all()
 
 
 def test_play_goes_on_to_another_goal() -> None:
     task = replace(TASK, endless=True, horizon=80)
-    found = rollouts(Play(), task, range(3))
+    found = rollouts(make_policy(PolicyConfig(policy="play")), task, range(3))
     codes = {tuple(row) for row in found.steps["visits"].tolist()}
     assert found.episodes["length"].tolist() == [80] * 3 and len(codes) > 4
 
 
 def test_an_episode_that_begins_anew_forgets_its_search() -> None:
     batch, ids, found = EpisodeBatch(TASK), np.arange(1), []
-    player = PullPlanner().player(batch)
+    player = PullPlayer(PullPlannerConfig(), batch)
     for patience in (1, 3, 10_000):
         batch.begin(ids, [1])
         player.begin(ids, [np.random.default_rng(0)])
         while patience and not len(player.act(ids).ids):
             patience -= 1
         found.append((patience > 0, int(player.planned[0])))
-    alone = PullPlanner().player(batch)
+    alone = PullPlayer(PullPlannerConfig(), batch)
     batch.begin(ids, [1])
     alone.begin(ids, [np.random.default_rng(0)])
     while not len(alone.act(ids).ids):

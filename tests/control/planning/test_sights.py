@@ -2,7 +2,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.control.planning.sights import Diagram, canonical_image, see
+from knotgym.control import Sight
+from knotgym.control.planning.sights import Diagram
 from knotgym.rope import Array
 from knotgym.topology import Symmetry, find_crossings
 
@@ -10,7 +11,7 @@ ANGLES = np.linspace(0, 2 * np.pi, 40, endpoint=False)
 
 
 def diagram_of(points: Array) -> Diagram:
-    return see(points[None])[0].diagram
+    return Sight.of(points[None])[0].diagram
 
 
 @given(reverse=st.booleans(), switch=st.booleans(), reflect=st.booleans(), turn=st.floats(0, 6.28))
@@ -21,7 +22,7 @@ def test_a_symmetry_of_the_rope_is_the_same_symmetry_of_its_diagram(
     image = diagram_of(moved.vertices(curve))
     assert image == diagram_of(curve).image(4 * reverse + 2 * switch + reflect)
     assert image.nx >= 2
-    assert canonical_image(image)[0] == canonical_image(diagram_of(curve))[0]
+    assert image.canonical()[0] == diagram_of(curve).canonical()[0]
 
 
 def test_a_kink_inside_the_loop_is_told_from_one_outside() -> None:
@@ -34,12 +35,12 @@ def test_a_kink_inside_the_loop_is_told_from_one_outside() -> None:
 
 
 def test_arcs_end_where_crossings_are_visited(curve: Array) -> None:
-    (sight,), crossings = see(curve[None]), find_crossings(curve)
+    (sight,), crossings = Sight.of(curve[None]), find_crossings(curve)
     visits = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
     assert list(sight.cuts) == [0.0, *visits, 40.0]
 
 
 def test_a_bead_is_where_its_position_says(curve: Array) -> None:
-    (sight,) = see(curve[None])
+    (sight,) = Sight.of(curve[None])
     assert [sight.bead(sight.position(bead)) for bead in range(40)] == list(range(40))
     assert sight.bead(-1.0) == 0 and sight.bead(99.0) == sight.bead(2 * sight.diagram.nx + 1)
