@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rendering import DEFAULT, PictureConfig, bead_colours, crossing_pixels
+from knotgym.rendering import PictureConfig, bead_colours, project
 from knotgym.topology import Crossings
 
 _WINDOW = 2.0  # beads along the rope, either way, that count as the same strand
@@ -18,7 +18,7 @@ def shown_strands(
     image: NDArray[np.uint8],
     crossings: Crossings,
     points: NDArray[np.float64],
-    config: PictureConfig = DEFAULT,
+    config: PictureConfig,
 ) -> NDArray[np.str_]:
     """Find the strand that a picture shows on top at each crossing.
 
@@ -45,7 +45,7 @@ def shown_strands(
     palette = bead_colours(len(points)).astype(np.float64)
     reach = config.drawn_radius + math.sqrt(0.5) * pixel
     shown = np.full(len(crossings.position), "ambiguous", dtype="<U9")
-    pixels = np.floor(crossing_pixels(crossings, points, config)).astype(int)
+    pixels = np.floor(project(crossings.over_points, config, points.mean(axis=0))).astype(int)
     for k, (column, row) in enumerate(pixels):
         over = float(crossings.over_place[k]) % len(points)
         under = float(crossings.under_place[k]) % len(points)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets import encode
-from knotgym.rendering import PictureConfig, crossing_pixels, draw, project
+from knotgym.rendering import PictureConfig, draw, project
 from knotgym.rope import MUJOCO, Array, Rope, simulation
 from knotgym.topology import find_crossings
 
@@ -99,7 +99,8 @@ def _rope_with_code() -> Canvas:
     middle = np.array([_LARGE / 2, _LARGE / 2])
     # the code numbers crossings by their first visit: take the rank of each crossing's first place
     labels = 1 + np.minimum(found.over_place, found.under_place).argsort().argsort()
-    for pixel, label in zip(crossing_pixels(found, points, config), labels, strict=True):
+    pixels = project(found.over_points, config, points.mean(axis=0))
+    for pixel, label in zip(pixels, labels, strict=True):
         outward = (pixel - middle) / np.linalg.norm(pixel - middle)
         place = pixel + 34 * outward
         _write(picture, str(label), (int(place[0]) - 8, int(place[1]) + 8), _WHITE, 0.8)

@@ -9,13 +9,14 @@ it, for a test of readers who see only pictures.
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from knotgym.common import Failed
 from knotgym.drawing import drawn_curve
-from knotgym.rendering import Shot, photograph
+from knotgym.rendering import photograph
 from knotgym.states import read_states, shipped
 from knotgym.topology import Symmetry, canonical, pd_text, uniform_code
 
@@ -23,13 +24,13 @@ PAGES = Path(__file__).parent
 _SIDE, _GAP, _ACROSS = 152, 2, 8  # pixels of a tile and between tiles; tiles
 
 
-def shots(seed: int = 3, size: int = 256) -> list[Shot]:
+def shots(seed: int = 3, size: int = 256) -> list[Any]:
     """Return 64 photos, 10 or 11 of each number of crossings from 1 to 6.
 
     States have up to five crossings; ropes of six are drawn from random codes.
     """
     rng, states = np.random.default_rng(seed), read_states(shipped("bench"), images=False)
-    found = list[Shot]()
+    found: list[Any] = []
     while len(found) < _ACROSS**2:
         wanted = 1 + len(found) % 6
         if wanted < 6:

@@ -30,7 +30,7 @@ from knotgym.loaders import (
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering import draw, draw_diagram, draw_many
+from knotgym.rendering import draw, draw_diagram
 from knotgym.rope import RopeConfig
 from knotgym.runs import executor
 
@@ -118,7 +118,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: knotgym.States.from_points(np.zeros((1, 100, 3))), "rope 0: a closed rope needs"),
     (lambda: knotgym.States.from_points(np.eye(3)[None], "eval"), "split must be train or test"),
     (lambda: draw(np.eye(3)[[0, 1, 2, 0]]), "point 3 and the next are on one spot"),
-    (lambda: draw_many(np.eye(3)[[[0, 1, 1, 2]]]), "point 1 and the next are on one spot"),
+    (lambda: draw(np.eye(3)[[[0, 1, 1, 2]]]), "point 1 and the next are on one spot"),
     (lambda: knotgym.register_task("tie", lambda nx: (0, nx)), "a new lower-case word, got 'tie'"),
     (lambda: goal_env("tie", goals=3), "unexpected keyword argument 'goals'; there is nx, split"),
     (lambda: open_episodes("nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),

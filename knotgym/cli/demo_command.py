@@ -25,7 +25,7 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
     from knotgym.envs import TaskConfig
     from knotgym.generate import CollectConfig, collect, film
     from knotgym.loaders import Transitions
-    from knotgym.rendering import write_film
+    from knotgym.rendering import Film
     from knotgym.runs import Progress, RunOptions, compile_first
 
     require_output(out, folder=True, overwrite=overwrite, reads=[])
@@ -48,7 +48,7 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
         )
         progress.stage("drawing the film and the page")
         frames = [frame for row in range(2) for frame in film(played.episodes, config.task, row)]
-        write_film(folder / film_name, frames)
+        Film(folder / film_name).write(frames)
         write_page(folder / "page.html", locate(str(dataset)))
     reached = int(played.episodes.episodes["success"].sum())
     progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")

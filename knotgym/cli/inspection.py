@@ -26,7 +26,7 @@ from knotgym.generate import Result, is_entry, read_entry, replayed, result_of
 from knotgym.generate import film as film_of
 from knotgym.generate import show as show_results
 from knotgym.prompting import show_transcripts
-from knotgym.rendering import film_frames, require_film, write_film
+from knotgym.rendering import Film
 from knotgym.rope import RopeConfig, simulation_of
 from knotgym.runs import Progress, executor, narrow_table
 from knotgym.states import read_states, resolve
@@ -102,7 +102,7 @@ def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Prog
     """
     found = locate(named)
     out = out or found.folder / "replay.gif"
-    require_film(out)
+    Film(out)
     found = found.only("states", "episodes")
     require_output(out, folder=False, overwrite=overwrite, reads=found.files)
     made = _state_film(found.states, row) if found.states else _episode_film(found.episodes[0], row)
@@ -111,7 +111,7 @@ def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Prog
         raise Failed(f"row {row} of {named} ends in another state when replayed: {difference}")
     progress.stage("writing")
     with atomic_write(out, overwrite=overwrite) as temporary:
-        write_film(temporary, frames)
+        Film(temporary).write(frames)
     progress.say(f"{out}: bit for bit the same, {steps} steps")
 
 
@@ -135,7 +135,7 @@ def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
     # where a reset lays the rope; the chain engine's own vertices differ by rounding
     steps, off = len(pulls), np.abs(simulation.rope.points(simulation.qpos())[0] - end).max()
     headings = [f"step {step} of {steps}" for step in range(steps + 1)]
-    frames = film_frames(ropes, end, headings, pulls, np.arange(steps + 1) == steps)
+    frames = Film.frames(ropes, end, headings, pulls, np.arange(steps + 1) == steps)
     return frames, steps, f"beads differ by up to {off:.3g} m per coordinate" if off else ""
 
 

@@ -35,7 +35,7 @@ from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.state_verification import Map
 from knotgym.datasets.state_verification import row_faults as state_faults
 from knotgym.quality import LEGIBLE, UNAMBIGUOUS, Quality, ease, grade_of
-from knotgym.rendering import APPEARANCES, SIZES, AppearanceConfig, Drawn, drawer_of, own_columns
+from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
 from knotgym.rope import Array, Rope
 from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest, held_form
 
@@ -72,7 +72,7 @@ def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     """Return all columns of a row by name, `image` as PNG bytes."""
     source = row.source
     rng = Stream.IMAGE_APPEARANCE.generator(source["seed"], source["row"])
-    drawn = drawer_of(config.name).sampled(row.points, config, rng, row.camera)
+    drawn = Drawer.of(config.name).sampled(row.points, config, rng, row.camera)
     return {
         **derived(RopeAtRest(row.points), drawn),
         "points": row.points.ravel().tolist(),
@@ -88,7 +88,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     positions = *drawn.pixels.T, crossings.over_place, crossings.under_place
     columns = [column.tolist() for column in (*positions, crossings.sign)]
     names = ("x", "y", "over_place", "under_place", "sign")
-    kinds = own_columns(drawn.look.name)
+    kinds = APPEARANCES[drawn.look.name].own_columns
     own = {
         name: encode(value) if kinds[name]["type"] == "image" else value
         for name, value in drawn.columns.items()
@@ -106,7 +106,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
 
 def redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
     """Draw the picture of a row, as `read_rows` gives it, again."""
-    drawer = drawer_of(row["appearance"]["name"])
+    drawer = Drawer.of(row["appearance"]["name"])
     return drawer.drawn(points, drawer.read(row))
 
 
@@ -166,12 +166,13 @@ def row_faults(row: Mapping[str, Any]) -> Iterator[str]:
         return
     factors = {
         f"{name}.{one}": value
-        for name in ("appearance", *own_columns(row["appearance"]["name"]))
+        for name in ("appearance", *APPEARANCES[row["appearance"]["name"]].own_columns)
         if isinstance(row[name], dict)
         for one, value in row[name].items()
     }
     for name, value in factors.items():
-        low, high = SIZES if name == "appearance.size" else (-_MOST_DRAWN, _MOST_DRAWN)
+        sized = name == "appearance.size"
+        low, high = AppearanceConfig.SIZES if sized else (-_MOST_DRAWN, _MOST_DRAWN)
         numeric = isinstance(value, (int, float)) and name != "appearance.seed"
         if numeric and not low <= value <= high:
             yield f"{name} is {value}, should be {low:g} to {high:g}"

@@ -31,7 +31,7 @@ from knotgym.common import (
     require_regular,
 )
 from knotgym.quality import UNITS
-from knotgym.rendering import APPEARANCES, own_columns
+from knotgym.rendering import APPEARANCES
 from knotgym.states import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
@@ -71,7 +71,7 @@ def columns_among(names: Collection[str]) -> dict[str, Any]:
 
     They are COLUMNS, and those of each appearance all of whose own columns are among the names.
     """
-    own = [own_columns(name) for name in APPEARANCES]
+    own = [APPEARANCES[name].own_columns for name in APPEARANCES]
     more = [one for one in own if one.keys() <= set(names)]
     return COLUMNS | {name: column["type"] for one in more for name, column in one.items()}
 

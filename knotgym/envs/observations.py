@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Threads
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering import PictureConfig, draw_many, drawer_of, picture_of
+from knotgym.rendering import PictureConfig, draw
 from knotgym.topology import CodeArrays
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ def observation_space(task: TaskConfig) -> spaces.Space[Any]:
 def picture_config(task: TaskConfig) -> PictureConfig:
     """Return the picture settings of a task's environment."""
     drawn: dict[str, Any] = {"camera": task.camera, "renderer": task.renderer}
-    return picture_of(task.beads, size=task.image_size, views=task.views, depth=task.depth, **drawn)
+    drawn |= {"size": task.image_size, "views": task.views, "depth": task.depth}
+    return PictureConfig.of(task.beads, **drawn)
 
 
 def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Appearance | None]:
@@ -55,18 +56,22 @@ def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Appe
         task: settings of the environment.
         goals: of each episode, the row of its goal state, and that state's points.
     """
-    drawer = drawer_of(task.appearance)
+    from knotgym.rendering import Drawer
+
+    drawer = Drawer.of(task.appearance)
     return [drawer.for_episode(_stored(points), task.image_size, row) for row, points in goals]
 
 
 def alone(
     points: ArrayLike, looks: Sequence[Appearance | None], picture: PictureConfig
 ) -> NDArray[np.uint8]:
-    """Draw ropes (n, beads, 3), metres, each as its episode looks; see `draw_many`."""
+    """Draw ropes (n, beads, 3), metres, each as its episode looks; see `draw`."""
     if all(look is None for look in looks):
-        return draw_many(points, picture)
+        return draw(points, picture)
+    from knotgym.rendering import Drawer
+
     ropes = zip(_stored(points), looks, strict=True)
-    return np.stack([drawer_of(look.name).image(rope, look) for rope, look in ropes if look])
+    return np.stack([Drawer.of(look.name).image(rope, look) for rope, look in ropes if look])
 
 
 def _stored(points: ArrayLike) -> NDArray[np.float64]:
@@ -100,7 +105,7 @@ def pixels(
         if any(looks):
             seen[rows, :, :size] = alone(ropes[rows], looks[rows], picture)
         else:
-            draw_many(ropes[rows], picture, out=seen[rows])
+            draw(ropes[rows], picture, out=seen[rows])
         goals = np.concatenate(goal_pictures[rows])
         seen[rows, :, size:] = goals.reshape(-1, height, size, picture.channels)
 

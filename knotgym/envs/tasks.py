@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 import knotgym
 from knotgym.common import Distinct, InvalidInput, Mark, choice, configuration
 from knotgym.quality import RESET_NOISE
-from knotgym.rendering import APPEARANCES, AppearanceName, Views, require_depth
+from knotgym.rendering import APPEARANCES, AppearanceName, PictureConfig, Views
 from knotgym.rope import MUJOCO, EngineName
 from knotgym.states import CODE_SPLITS, STATE_SPLITS
 
@@ -176,7 +176,7 @@ class TaskConfig:
                     f"rope may set {', '.join(known)}; got {', '.join(map(repr, unknown))}"
                 )
             _ = self.rope_config  # refuses values out of range
-        require_depth(self.depth, self.renderer)
+        PictureConfig(depth=self.depth, renderer=self.renderer)  # type: ignore[arg-type]
         require_frame(self.frame, self.observation, self.action)
         if max(self.crossings) > max_nx(self.beads):
             raise InvalidInput(

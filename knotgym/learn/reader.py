@@ -33,13 +33,13 @@ from knotgym.learn.colour_reading import (
     enforce_votes,
     interpolated_axis,
 )
-from knotgym.rendering import DEFAULT, bead_colours
+from knotgym.rendering import PictureConfig, bead_colours
 
 Array = NDArray[np.float64]
 
 INPUTS = 19  # input channels of both networks, see `_network_inputs`
 READINGS = 8  # of one picture, with the same x and y and different heights
-PIXEL = 1 / DEFAULT.pixels_per_metre  # width of a pixel, metres
+PIXEL = 1 / PictureConfig().pixels_per_metre  # width of a pixel, metres
 _COLOURS = bead_colours(BEADS).astype(np.float64)
 # Set by hand, as the scales below; no record says what others would score.
 _GATE = 4.0  # standard deviation of the distance of a bead's pixels from a guess, pixels

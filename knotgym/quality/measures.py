@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from knotgym.common import Stream, inner
 from knotgym.quality.limits import RESET_NOISE, Quality
-from knotgym.rendering import DEFAULT, PictureConfig, picture_of, project, strand_spacing
+from knotgym.rendering import PictureConfig, project, strand_spacing
 from knotgym.rope import Array, noised
 from knotgym.topology import Crossings, GaussCode, faces, find_crossings, label_many
 
@@ -51,7 +51,7 @@ def measure(
     # a writable copy, because numba would compile the kernels again for a read-only array
     p = np.array(points, dtype=np.float64, order="C")
     crossings = find_crossings(p) if crossings is None else crossings
-    config = picture_of(len(p)) if config is None else config
+    config = PictureConfig.of(len(p)) if config is None else config
     size = float(config.size)
     pixels = np.ascontiguousarray(project(p, config))
     chord = np.roll(p, -1, axis=0) - p
@@ -83,7 +83,7 @@ def measure(
 
 
 def base_spacing(
-    points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT
+    points: Array, crossings: Crossings, base: int = 0, config: PictureConfig | None = None
 ) -> float:
     """Return the distance along the drawing from the base bead to the nearest crossing, pixels.
 
@@ -92,8 +92,9 @@ def base_spacing(
         crossings: those of the points.
         base: the base bead is the one between the vertices `base` and `base + 1`; a crossing on it
             gives 0.
-        config: picture in which to measure.
+        config: picture in which to measure; the usual one if None.
     """
+    config = PictureConfig() if config is None else config
     if not crossings.nx:
         return float(config.size)
     pixels = np.roll(project(points, config), -base, axis=0)

@@ -6,20 +6,16 @@ line reads it.
 
 import tomllib
 from dataclasses import dataclass
-from functools import cache
+from functools import cached_property
 from importlib.resources import files
-from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat
 
 from knotgym.common import Distinct, InvalidInput, Share, choice, configuration
 
-if TYPE_CHECKING:
-    from knotgym.rendering.variation import Drawer
-
 PUBLISHED = "published"
-SIZES = (64, 512)  # smallest and largest size of a picture of a table, pixels
+_SIZES = (64, 512)  # smallest and largest size of a picture of a table, pixels
 TILT = 25.0  # largest tilt of a photo's camera, degrees
 
 
@@ -50,6 +46,12 @@ class AppearanceKind:
     tilted: bool = False
     columns: str = ""
     compression: int = 9
+
+    @cached_property
+    def own_columns(self) -> dict[str, Any]:
+        """The columns that tables of the appearance alone have: name -> type and doc."""
+        package, _, file = self.columns.partition(":")
+        return tomllib.loads((files(package) / file).read_text("utf-8")) if file else {}
 
 
 APPEARANCES: dict[str, AppearanceKind] = {
@@ -86,23 +88,6 @@ def appearance_help() -> str:
     return f"How it looks: {each}."
 
 
-def drawer_of(name: str) -> "Drawer":
-    """Return the drawer of an appearance."""
-    drawer: Drawer = resolve_name(APPEARANCES[name].drawer)(name)
-    return drawer
-
-
-def own_columns(name: str) -> dict[str, Any]:
-    """Return the columns that tables of an appearance alone have: name -> type and doc."""
-    return _read(APPEARANCES[name].columns)
-
-
-@cache
-def _read(place: str) -> dict[str, Any]:
-    package, _, file = place.partition(":")
-    return tomllib.loads((files(package) / file).read_text("utf-8")) if place else {}
-
-
 def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
     if pair[0] > pair[1]:
         raise InvalidInput("must have the smaller number first")
@@ -113,7 +98,7 @@ _Range = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ordered)
 AppearanceName = Annotated[str, choice(growing=APPEARANCES, help=appearance_help)]
 
 
-_Side = Annotated[int, Field(ge=SIZES[0], le=SIZES[1])]
+_Side = Annotated[int, Field(ge=_SIZES[0], le=_SIZES[1])]
 
 
 @configuration
@@ -134,6 +119,8 @@ class AppearanceConfig:
         marked: share of photos in which tape marks the base bead, white, and the bead before it,
             red.
     """
+
+    SIZES: ClassVar[tuple[int, int]] = _SIZES
 
     name: AppearanceName = PUBLISHED
     vary: tuple[str, ...] = ()

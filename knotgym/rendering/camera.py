@@ -50,12 +50,6 @@ def _known(views: tuple[str, ...]) -> tuple[str, ...]:
 Views = Annotated[tuple[str, ...], AfterValidator(_known)]  # in a configuration
 
 
-def require_depth(depth: bool, renderer: str) -> None:
-    """Raise InvalidInput if the renderer can't draw depth and should."""
-    if depth and renderer == "mujoco":
-        raise InvalidInput("depth needs renderer 'opencv' or 'auto'; 'mujoco' doesn't draw it")
-
-
 def require(met: bool, rule: str, given: object) -> None:
     """Raise InvalidInput, with the rule and the given value, unless the rule is met."""
     if not met:
@@ -103,7 +97,15 @@ class PictureConfig:
     renderer: Literal["auto", "opencv", "mujoco"] = "auto"
 
     def __post_init__(self) -> None:
-        require_depth(self.depth, self.renderer)
+        if self.depth and self.renderer == "mujoco":
+            raise InvalidInput("depth needs renderer 'opencv' or 'auto'; 'mujoco' doesn't draw it")
+
+    @classmethod
+    def of(cls, beads: int, **settings: Any) -> "PictureConfig":
+        """Return the usual picture of a rope of so many beads; of 200 it shows 1.32 m, not 0.66."""
+        share = beads / USUAL_BEADS
+        view, height = share * DEFAULT.view, share * DEFAULT.camera_height
+        return cls(view=view, camera_height=height, **settings)
 
     @property
     def pixels_per_metre(self) -> float:
@@ -126,13 +128,6 @@ class PictureConfig:
 
 
 DEFAULT = PictureConfig()
-
-
-def picture_of(beads: int, **settings: Any) -> PictureConfig:
-    """Return the usual picture of a rope of so many beads: that of 200 shows 1.32 m, not 0.66 m."""
-    share = beads / USUAL_BEADS
-    view, height = share * DEFAULT.view, share * DEFAULT.camera_height
-    return PictureConfig(view=view, camera_height=height, **settings)
 
 
 def bead_colours(beads: int) -> NDArray[np.uint8]:
@@ -204,8 +199,8 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
     return config.pixels_per_metre * config.camera_height / np.where(depth > _NEAR, depth, np.nan)
 
 
-def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
-    """Return one rope (axes 2) or many (axes 3) to draw as float64, or raise InvalidInput.
+def checked_points(points: ArrayLike, *axes: int) -> NDArray[np.float64]:
+    """Return one rope (2 axes) or many (3) to draw as float64, or raise InvalidInput.
 
     They are rounded to float32, as datasets hold them, so that a rope and what was stored of it
     have the same picture.
@@ -214,14 +209,12 @@ def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
 
     with np.errstate(over="ignore"):  # what float32 can't hold is refused below
         points = np.asarray(points, dtype=np.float32).astype(np.float64)
-    form = "(beads, 3)" if axes == 2 else "(m, beads, 3)"
-    fits = points.ndim == axes and points.shape[-1] == 3 and points.shape[-2] >= 3
-    require(fits, f"points must have shape {form}, at least 3 beads", points.shape)
-    if not np.isfinite(points).all():
-        raise InvalidInput(
-            f"points must be finite, got {int((~np.isfinite(points)).sum())} coordinates that"
-            " are not"
-        )
+    forms = " or ".join("(beads, 3)" if count == 2 else "(m, beads, 3)" for count in axes)
+    fits = points.ndim in axes and points.shape[-1] == 3 and points.shape[-2] >= 3
+    require(fits, f"points must have shape {forms}, at least 3 beads", points.shape)
+    bad = int((~np.isfinite(points)).sum())
+    if bad:
+        raise InvalidInput(f"points must be finite, got {bad} coordinates that are not")
     if (again := same_spot(points)).any():
         raise InvalidInput(
             f"point {int(again.nonzero()[-1][0])} and the next are on one spot; leave out points"

@@ -26,8 +26,7 @@ from knotgym.rendering.camera import (
     project,
     seen_from,
 )
-from knotgym.rendering.capsules import paint
-from knotgym.rendering.picture import depths_of, in_picture
+from knotgym.rendering.picture import depths_of, in_picture, paint
 from knotgym.topology import Crossings, GaussCode, find_crossings
 
 Array = NDArray[np.float64]

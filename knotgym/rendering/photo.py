@@ -53,6 +53,12 @@ class PhotoDrawer(Drawer):
 
     look, struct = Photo, "photo"
 
+    def camera(self, config: AppearanceConfig, rng: np.random.Generator) -> tuple[float, float]:
+        return drawn_camera(rng, config.tilt)
+
+    def seen(self, points: Array, camera: tuple[float, float]) -> Array:
+        return tilted(points, *camera)
+
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
         return take(points, look).image
 

@@ -29,7 +29,7 @@ from knotgym.rendering.photo_look import (
     light_of,
     low_of,
 )
-from knotgym.rendering.spacing import strand_spacing
+from knotgym.rendering.picture import strand_spacing
 from knotgym.topology import Crossings, find_crossings
 
 Array = NDArray[Any]

@@ -1,16 +1,29 @@
-"""Pictures of a rope, drawn by `capsules`; for the camera and the colours see `camera`.
+"""Pictures of a rope: the loop that draws it, and how near its strands come in them.
 
-Bead i is a capsule from points[i] to points[(i + 1) % beads]. Colours are flat, without light or
-shadow. Depth is that of the rope's axis where it is seen; under the perspective camera it is
-distance along the line of sight.
+For the camera and the colours see `camera`. Bead i is a capsule from points[i] to points[(i + 1) %
+beads]. Colours are flat, without light or shadow. Depth is that of the rope's axis where it is
+seen; under the perspective camera it is distance along the line of sight.
 
-After a change run `pytest tests/rendering/test_picture.py` and `python benchmarks/truth.py`:
-pictures must be a ray tracer's but for edges, and the strand on top the one labelled over.
+A pixel's coverage is what its distance to the rope's axis says of a pixel-wide box across the rope:
+1 up to half a pixel inside the edge, 0 half a pixel outside. Pieces that follow each other along
+the rope and touch the same pixel are one strand there; it counts once, in the colour of the piece
+on top. Strands are blended from the highest to the lowest, each by the height of its axis where it
+is seen.
+
+Arithmetic is + - * / and sqrt alone, without fastmath, so that the same numbers give the same bytes
+on every processor. Pixel (row, column) has its centre at (column + 0.5, row + 0.5).
+
+After a change run `pytest tests/rendering tests/quality` and `python benchmarks/truth.py`: pictures
+must be a ray tracer's but for edges, and the strand on top the one labelled over.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common import inner
 from knotgym.rendering.camera import (
     DEFAULT,
     PictureConfig,
@@ -21,75 +34,57 @@ from knotgym.rendering.camera import (
     require,
     seen_from,
 )
-from knotgym.rendering.capsules import Depths, paint
-from knotgym.topology import Crossings
+
+Array = NDArray[Any]
+
+# less would change no level of the colours in use, and only the depth of a pixel
+_LEAST_COVER = 1.0 / 64.0
+_OUTSIDE = -1e12  # rank of a piece whose edge alone covers the pixel, less its distance, pixels
+
+
+class Depths(NamedTuple):
+    """Heights as levels of a fourth channel: 128 at `middle`, 1 and 255 half a `span` from it."""
+
+    middle: float
+    span: float
 
 
 def draw(
-    points: ArrayLike, config: PictureConfig = DEFAULT, *, colours: NDArray[np.uint8] | None = None
-) -> NDArray[np.uint8]:
-    """Draw a rope; the same points and config always give the same bytes.
-
-    Args:
-        points: float64, shape (beads, 3), metres, world frame, finite; at least 3 beads.
-        config: camera, size and background of the picture.
-        colours: uint8, shape (beads, 3), RGB; by default the published ones, see `bead_colours`.
-
-    Returns:
-        uint8, shape (views * size, size, 3), RGB, row 0 at the top (largest y), the first view on
-        top; 4 channels with depth. Parts of the rope outside a view are cut off.
-
-    Raises:
-        InvalidInput: points or colours have the wrong shape, or points are not finite.
-        Failed: config.renderer is "mujoco" and OpenGL is not available.
-    """
-    points = checked_points(points, 2)
-    images = _draw_all(points[None], config, colours)
-    return images.reshape(images.shape[1:])
-
-
-def draw_many(
     points: ArrayLike,
     config: PictureConfig = DEFAULT,
     *,
     colours: NDArray[np.uint8] | None = None,
     out: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw m ropes with the same number of beads; picture k equals draw(points[k], config).
+    """Draw a rope, or m with the same number of beads; the same arguments give the same bytes.
 
     Args:
-        points: float64, shape (m, beads, 3), metres; m may be 0.
-        config: as in `draw`.
-        colours: as in `draw`, the same for all ropes.
-        out: uint8, contiguous, of the shape below or wider, to whose left the ropes are drawn; what
-            is right of them stays. None for a new array.
+        points: float64, shape (beads, 3) or (m, beads, 3), metres, world frame, finite; at least 3
+            beads; m may be 0.
+        config: camera, size and background of the picture.
+        colours: uint8, shape (beads, 3), RGB; by default the published ones, see `bead_colours`.
+        out: uint8, contiguous, of the shape below for m ropes, or wider, to whose left the ropes
+            are drawn; what is right of them stays. None for a new array.
 
     Returns:
-        uint8, shape (m, views * size, size, 3 or 4), or `out`.
+        uint8, shape (views * size, size, 3) or (m, views * size, size, 3), RGB, row 0 at the top
+        (largest y), the first view on top; 4 channels with depth; or `out`. Parts of the rope
+        outside a view are cut off.
 
     Raises:
-        InvalidInput, Failed: as in `draw`.
+        InvalidInput: points or colours have the wrong shape, or points are not finite.
+        Failed: config.renderer is "mujoco" and OpenGL is not available.
     """
-    return _draw_all(checked_points(points, 3), config, colours, out)
-
-
-def crossing_pixels(
-    crossings: Crossings, points: ArrayLike, config: PictureConfig = DEFAULT
-) -> NDArray[np.float64]:
-    """Project the over strand of each crossing into the top view.
-
-    Returns:
-        float64, shape (n, 2), pixel coordinates as in `project`.
-    """
-    over = np.column_stack([crossings.position, crossings.over_z])
-    return project(over, config, center=np.asarray(points, dtype=np.float64).mean(axis=0))
+    checked = checked_points(points, 2, 3)
+    images = _draw_all(checked.reshape(-1, *checked.shape[-2:]), config, colours, out)
+    return images if checked.ndim == 3 else images[0]
 
 
 def _draw_all(
-    points: NDArray[np.float64],
+    points: Array,
     config: PictureConfig,
     colours: NDArray[np.uint8] | None,
-    out: NDArray[np.uint8] | None = None,
+    out: NDArray[np.uint8] | None,
 ) -> NDArray[np.uint8]:
     frames, beads = points.shape[:2]
     colours = bead_colours(beads) if colours is None else np.asarray(colours)
@@ -120,8 +115,8 @@ def _draw_all(
 
 
 def in_picture(
-    points: NDArray[np.float64], config: PictureConfig, center: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    points: Array, config: PictureConfig, center: Array | None = None
+) -> tuple[Array, Array, Array]:
     """Project ropes (m, beads, 3) for `paint`.
 
     Args:
@@ -147,3 +142,326 @@ def depths_of(config: PictureConfig) -> Depths:
     """Return the levels of depth: half of them in front of the centre of mass."""
     middle = 0.0 if config.camera == "orthographic" else -config.camera_height
     return Depths(config.pixels_per_metre * middle, config.pixels_per_metre * config.view)
+
+
+@njit(cache=True, nogil=True)
+def paint(
+    pixels: Array,
+    height: Array,
+    radius: Array,
+    colours: NDArray[np.uint8],
+    depths: Depths,
+    bands: Array,
+    out: NDArray[np.uint8],
+    size: int,
+) -> None:
+    """Paint m closed ropes of n pieces; piece i leads from vertex i to the next.
+
+    Args:
+        pixels: (m, n, 2), vertices in the picture; pieces that begin or end at NaN are left out.
+        height: (m, n), towards the camera, in pixels.
+        radius: (m, n), pixels.
+        colours: uint8 (n, 3), of the pieces.
+        depths: in pixels; used if the picture has a fourth channel.
+        bands: (b, 5), stretches of the rope that cut what lies below them: place of the middle,
+            and half the length, both in pieces; radius, pixels; height up to which strands are cut,
+            pixels; pieces on either side of the stretch that aren't cut. For single ropes.
+        out: uint8 (m, size, width, 3 or 4), already the background; output, in the left `size`
+            columns.
+        size: side of the picture.
+    """
+    ropes, n = height.shape
+    # Strands are kept in lists: `first` has each pixel's newest strand or -1, `of` the strand
+    # before, the pixel, the first and the last piece that touched it, and the piece on top; `seen`
+    # its coverage, the rank of the piece on top, and the height of the axis there.
+    first = np.full(size * size, -1, np.int32)
+    of, seen = np.empty((4096, 5), np.int32), np.empty((4096, 3))
+    order = np.empty(n, np.int64)
+    for k in range(ropes):
+        count, of, seen = _stamp(pixels[k], height[k], radius[k], first, of, seen, size)
+        for b in range(len(bands)):
+            _cut(pixels[k], bands[b], first, of, seen, size)
+        _blend(count, first, of, seen, order, colours, depths, out[k], size)
+        for strand in range(count):
+            first[of[strand, 1]] = -1
+
+
+@inner
+def _stamp(
+    pixels: Array,
+    height: Array,
+    radius: Array,
+    first: Array,
+    of: Array,
+    seen: Array,
+    size: int,
+) -> Any:
+    """Find the strands of a rope at all pixels; return their number, `of` and `seen`."""
+    count, n = 0, len(height)
+    for i in range(n):
+        j = (i + 1) % n
+        x, y, z, r = pixels[i, 0], pixels[i, 1], height[i], radius[i]
+        dx, dy, dz, dr = pixels[j, 0] - x, pixels[j, 1] - y, height[j] - z, radius[j] - r
+        if not dx * dx + dy * dy < np.inf:
+            continue
+        square = max(dx * dx + dy * dy, 1e-12)
+        inverse = 1.0 / square
+        # how much farther up the piece its highest point above a pixel is than its nearest, in
+        # pieces and for each pixel of the sphere's height there
+        lean = dz / np.sqrt(square * (square + dz * dz))
+        full, reach = min(1.0, 2.0 * max(r, r + dr)), max(r, r + dr) + 0.5
+        top, bottom = _range(y, dy, reach, size)
+        left, right = _range(x, dx, reach, size)
+        # here, as arrays that are replaced in the inner loop are slow
+        while count + (bottom - top) * (right - left) > len(of):
+            of, seen = _doubled(of), _doubled(seen)
+        # half of what a row cuts out of the piece, however far it went on; beside that all is free
+        slope, wide = (dx / dy, reach * np.sqrt(square) / abs(dy)) if dy != 0.0 else (0.0, np.inf)
+        for row in range(top, bottom):
+            py = row + 0.5 - y
+            start = max(left, int(max(x + py * slope - wide, 0.0)))
+            stop = min(right, int(min(x + py * slope + wide, size)) + 1)
+            for column in range(start, stop):
+                px = column + 0.5 - x
+                along = (px * dx + py * dy) * inverse
+                t = min(max(along, 0.0), 1.0)
+                ex, ey, here = px - t * dx, py - t * dy, r + t * dr
+                away, least = ex * ex + ey * ey, here + 0.5 - _LEAST_COVER
+                if not away < least * least:
+                    continue
+                distance = np.sqrt(away)
+                cover, rank = min(here + 0.5 - distance, full), _OUTSIDE - distance
+                if distance < here:
+                    # the upper surface of a capsule is that of the spheres along its axis
+                    ex, ey = px - along * dx, py - along * dy
+                    rise = np.sqrt(max(here * here - ex * ex - ey * ey, 0.0))
+                    t = min(max(along + rise * lean, 0.0), 1.0)
+                    ex, ey = px - t * dx, py - t * dy
+                    rank = z + t * dz + np.sqrt(max(here * here - ex * ex - ey * ey, 0.0))
+                pixel = row * size + column
+                strand = first[pixel]
+                while strand >= 0 and of[strand, 3] < i - 1:
+                    strand = of[strand, 0]
+                if strand < 0:
+                    strand = count
+                    count += 1
+                    of[strand, 0], of[strand, 1], of[strand, 2] = first[pixel], pixel, i
+                    seen[strand, 0], seen[strand, 1] = 0.0, -np.inf
+                    first[pixel] = strand
+                of[strand, 3] = i
+                seen[strand, 0] = max(seen[strand, 0], cover)
+                if rank > seen[strand, 1]:
+                    of[strand, 4], seen[strand, 1], seen[strand, 2] = i, rank, z + t * dz
+    return count, of, seen
+
+
+@inner
+def _range(start: float, step: float, reach: float, size: int) -> tuple[int, int]:
+    """Return the first and the last but one pixel that a piece reaches along an axis."""
+    low, high = min(start, start + step) - reach, max(start, start + step) + reach
+    # clipped as floats: an integer can't hold what is far outside
+    return int(min(max(low, 0.0), size)), int(min(max(high + 1.0, 0.0), size))
+
+
+@inner
+def _doubled(rows: Any) -> Any:
+    """Return an array with room for twice as many rows."""
+    wider = np.empty((2 * len(rows), rows.shape[1]), rows.dtype)
+    wider[: len(rows)] = rows
+    return wider
+
+
+@inner
+def _cut(
+    pixels: Array,
+    band: Array,
+    first: Array,
+    of: Array,
+    seen: Array,
+    size: int,
+) -> None:
+    """Cut what lies below a band, see `paint`: cover it less."""
+    n, (middle, half, radius, level, spared) = len(pixels), band
+    start, stop = int(np.ceil(middle - half - 0.5)), int(np.floor(middle + half - 0.5)) + 1
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    for i in range(start, stop + 1):
+        x, y = pixels[i % n]
+        low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
+    left, right = _range(low_x, high_x - low_x, radius + 0.5, size)
+    top, bottom = _range(low_y, high_y - low_y, radius + 0.5, size)
+    for row in range(top, bottom):
+        for column in range(left, right):
+            strand = first[row * size + column]
+            if strand < 0:
+                continue
+            nearest = np.inf
+            for i in range(start, stop):
+                px, py = column + 0.5 - pixels[i % n, 0], row + 0.5 - pixels[i % n, 1]
+                dx = pixels[(i + 1) % n, 0] - pixels[i % n, 0]
+                dy = pixels[(i + 1) % n, 1] - pixels[i % n, 1]
+                t = (px * dx + py * dy) / max(dx * dx + dy * dy, 1e-12)
+                t = min(max(t, 0.0), 1.0)
+                ex, ey = px - t * dx, py - t * dy
+                nearest = min(nearest, ex * ex + ey * ey)
+            left_over = min(max(np.sqrt(nearest) - radius + 0.5, 0.0), 1.0)
+            while strand >= 0:
+                off = abs(of[strand, 4] + 0.5 - middle)
+                if seen[strand, 2] <= level and min(off, n - off) > half + spared:
+                    seen[strand, 0] *= left_over
+                strand = of[strand, 0]
+
+
+@inner
+def _close(newest: int, of: Array, seen: Array, n: int) -> None:
+    """Join the strands of a pixel that end with the last piece of the rope and begin with piece 0.
+
+    The strand of piece 0 gets all; the other covers nothing from then on.
+    """
+    end = newest
+    while end >= 0 and of[end, 3] != n - 1:
+        end = of[end, 0]
+    begin = newest
+    while begin >= 0 and of[begin, 2] != 0:
+        begin = of[begin, 0]
+    if end < 0 or begin < 0 or begin == end:
+        return
+    seen[begin, 0] = max(seen[begin, 0], seen[end, 0])
+    if seen[end, 1] > seen[begin, 1]:
+        of[begin, 4], seen[begin, 1], seen[begin, 2] = of[end, 4], seen[end, 1], seen[end, 2]
+    seen[end, 0], seen[end, 2] = 0.0, -np.inf
+
+
+@inner
+def _falling(newest: int, of: Array, seen: Array, order: Array) -> int:
+    """Sort the strands of a pixel into `order`, the highest first; return how many there are."""
+    count, strand = 0, newest
+    while strand >= 0:
+        at = count
+        while at > 0 and seen[order[at - 1], 2] < seen[strand, 2]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = strand
+        count += 1
+        strand = of[strand, 0]
+    return count
+
+
+@inner
+def _blend(
+    count: int,
+    first: Array,
+    of: Array,
+    seen: Array,
+    order: Array,
+    colours: NDArray[np.uint8],
+    depths: Depths,
+    image: NDArray[np.uint8],
+    size: int,
+) -> None:
+    """Blend the strands of each pixel, the highest first, over its background."""
+    for newest in range(count):
+        if first[of[newest, 1]] != newest:
+            continue
+        strands, order[0] = 1, newest
+        if of[newest, 0] >= 0:
+            _close(newest, of, seen, len(order))
+            strands = _falling(newest, of, seen, order)
+        red = green = blue = 0.0
+        left = 1.0
+        for at in range(strands):
+            share, i = left * seen[order[at], 0], of[order[at], 4]
+            red += share * colours[i, 0]
+            green += share * colours[i, 1]
+            blue += share * colours[i, 2]
+            left -= share
+        # in place: a view of the pixel would take longer than what is done with it
+        row, column = of[newest, 1] // size, of[newest, 1] % size
+        image[row, column, 0] = np.uint8(red + left * image[row, column, 0] + 0.5)
+        image[row, column, 1] = np.uint8(green + left * image[row, column, 1] + 0.5)
+        image[row, column, 2] = np.uint8(blue + left * image[row, column, 2] + 0.5)
+        if image.shape[2] == 4 and left < 1.0:
+            nearer = min(max(0.5 + (seen[order[0], 2] - depths.middle) / depths.span, 0.0), 1.0)
+            image[row, column, 3] = np.uint8(1 + np.rint(254.0 * nearer))
+
+
+@njit(cache=True, nogil=True)
+def strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
+    """Return the smallest distance in the picture, pixels, of vertices on different strands.
+
+    Two vertices are on different strands if every path between them along the drawing, straight on
+    or turning at crossings, is longer than `walk` pixels. Near a crossing the strands that cross
+    are connected by a short path, and don't count.
+    """
+    beads = len(pixels)
+    along = np.zeros(beads + 1)
+    for i in range(beads):
+        x, y = pixels[(i + 1) % beads, 0] - pixels[i, 0], pixels[(i + 1) % beads, 1] - pixels[i, 1]
+        along[i + 1] = along[i] + np.sqrt(x * x + y * y)
+    total = along[beads]
+    # a way that turns at crossings reaches j straight from the last of them, so distances with
+    # turns are needed from i alone
+    to_visit, from_bead = _walks_to_visits(along, over, under)
+    nearest = np.inf
+    # from cheap to expensive: along the rope, in the picture, then through any crossing
+    for i in range(beads):
+        for j in range(i + 1, beads):
+            gap = along[j] - along[i]
+            gap = min(gap, total - gap)
+            if gap <= walk:
+                continue
+            dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
+            apart = np.sqrt(dx * dx + dy * dy)
+            if apart >= nearest:
+                continue
+            for visit in range(to_visit.shape[1]):
+                gap = min(gap, from_bead[i, visit] + to_visit[j, visit])
+            if gap > walk:
+                nearest = apart
+    return nearest
+
+
+@inner
+def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Array]:
+    """Return the distances from vertices to visits along the drawing, pixels.
+
+    Args:
+        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
+        over, under: float64 (nx,), positions of the visits along the rope, beads; visits 2k and
+            2k + 1 belong to crossing k.
+
+    Returns:
+        float64 (beads, 2 nx) twice: straight along the rope, and with turns at crossings.
+    """
+    beads, visits = len(along) - 1, 2 * len(over)
+    total = along[beads]
+    at = np.empty(visits)
+    for k in range(len(over)):
+        for side, place in enumerate((over[k], under[k])):
+            # a place may be `beads`, the end of the closing edge
+            i = min(int(place), beads - 1)
+            at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
+    # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
+    # point of the picture, at distance 0.
+    between = np.empty((visits, visits))
+    for a in range(visits):
+        for b in range(visits):
+            gap = abs(at[a] - at[b])
+            between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
+    # The loop over the stop between is the outermost: after round m, paths that turn at no visit
+    # beyond m are right.
+    for m in range(visits):
+        for a in range(visits):
+            for b in range(visits):
+                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
+    straight, turning = np.empty((beads, visits)), np.empty((beads, visits))
+    for i in range(beads):
+        for b in range(visits):
+            gap = abs(along[i] - at[b])
+            straight[i, b] = min(gap, total - gap)
+        for b in range(visits):
+            best = np.inf
+            for a in range(visits):
+                best = min(best, straight[i, a] + between[a, b])
+            turning[i, b] = best
+    return straight, turning

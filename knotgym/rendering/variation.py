@@ -16,6 +16,7 @@ the published one, and crossings lie where it says.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from pkgutil import resolve_name
 from typing import Any, ClassVar
 
 import cv2
@@ -26,7 +27,7 @@ from knotgym.common import Stream
 from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConfig
 from knotgym.rendering.camera import RGB, PictureConfig, bead_colours, project
 from knotgym.rendering.diagram import draw_lines
-from knotgym.rendering.picture import crossing_pixels, draw
+from knotgym.rendering.picture import draw
 from knotgym.topology import find_crossings
 
 Array = NDArray[np.float64]
@@ -124,6 +125,20 @@ class Drawer:
     def __init__(self, name: str) -> None:
         self.name = name
 
+    @staticmethod
+    def of(name: str) -> "Drawer":
+        """Return the drawer of an appearance."""
+        drawer: Drawer = resolve_name(APPEARANCES[name].drawer)(name)
+        return drawer
+
+    def camera(self, config: AppearanceConfig, rng: np.random.Generator) -> tuple[float, float]:
+        """Draw tilt and heading of the camera of a table's picture, degrees."""
+        return 0.0, 0.0
+
+    def seen(self, points: Array, camera: tuple[float, float]) -> Array:
+        """Return points (n, 3) in the axes of the camera."""
+        return points
+
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
         """Draw a rope: uint8 (size, size, 3), RGB; the same arguments give the same bytes."""
         colours = look.bead_colours(len(points))
@@ -131,7 +146,8 @@ class Drawer:
 
     def drawn(self, points: Array, look: Any) -> Drawn:
         """Draw a picture of a table again from its appearance."""
-        pixels = crossing_pixels(find_crossings(points), points, look.picture())
+        over = find_crossings(points).over_points
+        pixels = project(over, look.picture(), points.mean(axis=0))
         return Drawn(self.image(points, look), look, pixels)
 
     def sampled(

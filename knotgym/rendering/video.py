@@ -1,7 +1,7 @@
-"""Videos of a rope beside its goal, with their codes below, as mp4, webm or gif.
+"""Videos of a rope beside its goal, with their codes below, and the window that shows the same.
 
-All of them play in a browser: .mp4 files hold H.264 and .webm files VP9, both encoded by PyAV
-(extra `video`).
+Videos are mp4, webm or gif, and all of them play in a browser: .mp4 files hold H.264 and .webm
+files VP9, both encoded by PyAV (extra `video`).
 """
 
 import os
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.common import InvalidInput, MissingExtra, atomic_write
+from knotgym.common import Failed, InvalidInput, MissingExtra, atomic_write
 from knotgym.rendering.camera import seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology import label
@@ -106,63 +106,59 @@ def film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
     return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
 
 
-def film_frames(
-    ropes: Sequence[Array],
-    goal: Array,
-    headings: Sequence[str],
-    pulls: Sequence[tuple[int, Array]],
-    reached: Sequence[bool] | NDArray[np.bool_],
-    views: Sequence[str] = ("top",),
-) -> list[NDArray[np.uint8]]:
-    """Draw an episode at one scale; the last frame shows the outcome and lasts one second longer.
-
-    Args:
-        ropes: T + 1 states, float64 (beads, 3) each, metres.
-        goal: float64 (beads, 3), metres.
-        headings: first line of the caption of each state.
-        pulls: the T pulls between the states, as in `film_frame`.
-        reached: for each state, whether it reaches the goal.
-        views: as in `film_frame`.
-    """
-    side, last = film_side([*ropes, goal], views), len(ropes) - 1
-    frames = [
-        film_frame(
-            rope,
-            goal,
-            headings[k],
-            pulls[k] if k < last else None,
-            "reached" if reached[k] else "failed" if k == last else "",
-            views,
-            side,
-        )
-        for k, rope in enumerate(ropes)
-    ]
-    return frames + frames[-1:] * FRAMES_PER_SECOND
-
-
-def require_film(path: str | os.PathLike[str]) -> None:
-    """Check that a video of this name can be written.
+class Film:
+    """A video that is to be written as .gif, .mp4 or .webm.
 
     Raises:
-        InvalidInput: the suffix is unknown, or needs PyAV, which isn't installed.
+        InvalidInput: the suffix is unknown.
+        MissingExtra: it needs PyAV, which isn't installed.
     """
-    kind = Path(path).suffix.lower()
-    if kind not in (".gif", *_CODECS):
-        raise InvalidInput(f"a video must end in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
-    if kind in _CODECS:
-        _pyav()
 
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path, self._kind = path, Path(path).suffix.lower()
+        if self._kind not in (".gif", *_CODECS):
+            raise InvalidInput(f"a video must end in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
+        if self._kind in _CODECS:
+            _pyav()
 
-def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]) -> None:
-    """Write frames, RGB and of equal size, as .gif, .mp4 or .webm; the write is atomic.
+    def write(self, frames: Sequence[NDArray[np.uint8]]) -> None:
+        """Write frames, RGB and of equal size; the write is atomic."""
+        with atomic_write(self._path) as temporary:
+            (_encoded if self._kind in _CODECS else _gif)(temporary, frames)
 
-    Raises:
-        InvalidInput: as in `require_film`.
-    """
-    require_film(path)
-    kind = Path(path).suffix.lower()
-    with atomic_write(path) as temporary:
-        (_encoded if kind in _CODECS else _gif)(temporary, frames)
+    @staticmethod
+    def frames(
+        ropes: Sequence[Array],
+        goal: Array,
+        headings: Sequence[str],
+        pulls: Sequence[tuple[int, Array]],
+        reached: Sequence[bool] | NDArray[np.bool_],
+        views: Sequence[str] = ("top",),
+    ) -> list[NDArray[np.uint8]]:
+        """Draw an episode at one scale; the last frame shows the outcome, one second longer.
+
+        Args:
+            ropes: T + 1 states, float64 (beads, 3) each, metres.
+            goal: float64 (beads, 3), metres.
+            headings: first line of the caption of each state.
+            pulls: the T pulls between the states, as in `film_frame`.
+            reached: for each state, whether it reaches the goal.
+            views: as in `film_frame`.
+        """
+        side, last = film_side([*ropes, goal], views), len(ropes) - 1
+        shown = [
+            film_frame(
+                rope,
+                goal,
+                headings[k],
+                pulls[k] if k < last else None,
+                "reached" if reached[k] else "failed" if k == last else "",
+                views,
+                side,
+            )
+            for k, rope in enumerate(ropes)
+        ]
+        return shown + shown[-1:] * FRAMES_PER_SECOND
 
 
 def _gif(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
@@ -199,3 +195,72 @@ def _pyav() -> Any:
     except ModuleNotFoundError as error:
         raise MissingExtra("PyAV", "video", "a video that is no .gif") from error
     return av
+
+
+class PictureWindow:
+    """A window that opens with the first frame and doesn't zoom in during an episode.
+
+    Raises:
+        Failed: pygame isn't installed; from `show`, there is no display.
+    """
+
+    def __init__(self, frames_per_second: int) -> None:
+        try:
+            import pygame
+        except ModuleNotFoundError as error:
+            raise Failed(
+                "render_mode 'human' needs pygame, which isn't installed: pip install pygame"
+            ) from error
+        self._pygame: Any = pygame
+        self._rate, self._side = frames_per_second, 0.0
+        self._screen: Any = None
+        self._clock: Any = None
+
+    def show(
+        self,
+        points: Array,
+        goal: Array,
+        step: int,
+        horizon: int,
+        outcome: str,
+        views: Sequence[str],
+    ) -> None:
+        """Draw a state beside its goal, and wait to keep the frame rate.
+
+        Args:
+            points, goal: float64 (beads, 3), metres.
+            step: actions taken in the episode; 0 starts a new episode.
+            horizon: length of the episode.
+            outcome, views: as in `film_frame`.
+        """
+        needed = film_side([points, goal], views)
+        self._side = max(needed, self._side if step else 0.0)
+        heading = f"step {step} of {horizon}"
+        frame = film_frame(points, goal, heading, None, outcome, views, self._side)
+        if self._screen is None:
+            self._open(frame.shape[1::-1])
+        picture = self._pygame.surfarray.make_surface(frame.swapaxes(0, 1))
+        self._screen.blit(picture, (0, 0))
+        self._pygame.event.pump()
+        self._pygame.display.flip()
+        self._clock.tick(self._rate)
+
+    def close(self) -> None:
+        """Close the window; a later frame opens a new one."""
+        if self._screen is not None:
+            self._pygame.display.quit()
+            self._screen = None
+
+    def _open(self, size: tuple[int, int]) -> None:
+        # A window that SDL fills by OpenGL holds this thread's context: beside it MuJoCo's renderer
+        # could make none by EGL, and would crash by OSMesa.
+        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
+        try:
+            self._pygame.display.init()
+            self._screen = self._pygame.display.set_mode(size)
+        except self._pygame.error as error:
+            raise Failed(
+                f"render_mode 'human' needs a display ({error}); use 'rgb_array' without one"
+            ) from error
+        self._pygame.display.set_caption("knotgym")
+        self._clock = self._pygame.time.Clock()

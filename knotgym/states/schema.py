@@ -77,9 +77,9 @@ class RopeAtRest:
     @cached_property
     def image(self) -> NDArray[np.uint8]:
         """The picture, as the environment shows it: uint8 (pixels, pixels, 3)."""
-        from knotgym.rendering import draw, picture_of
+        from knotgym.rendering import PictureConfig, draw
 
-        return draw(self.points, picture_of(len(self.points)))
+        return draw(self.points, PictureConfig.of(len(self.points)))
 
 
 def _of_code(name: str, doc: str, text_of: Callable[[GaussCode], str]) -> Column:

@@ -54,6 +54,11 @@ class Crossings:
         """The number of crossings."""
         return len(self.sign)
 
+    @property
+    def over_points(self) -> NDArray[np.float64]:
+        """Where the upper strands pass, float64 (n, 3), metres."""
+        return np.column_stack([self.position, self.over_z])
+
 
 def find_crossings(points: ArrayLike) -> Crossings:
     """Find every crossing of one rope.

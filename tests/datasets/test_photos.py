@@ -16,7 +16,7 @@ from knotgym.datasets.image_rows import PictureRow, record, redrawn, row_faults
 from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import page_data, page_html
-from knotgym.rendering import AppearanceConfig, tilted
+from knotgym.rendering import AppearanceConfig, Drawer
 from knotgym.states import read_states, shipped
 
 
@@ -29,7 +29,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     for number, state in enumerate([20, 70, 120]):
         flags = dict.fromkeys(("reflect", "switch", "reverse"), False)
         source = dict.fromkeys(COLUMNS["source"], 0) | flags | {"policy": "", "row": number}
-        points = tilted(states.points[state], 10.0, 40.0)
+        points = Drawer.of("photo").seen(states.points[state], (10.0, 40.0))
         made.append(record(PictureRow(points, "train", source, (10.0, 40.0)), config))
     path = folder / "data/train-00000-of-00001.parquet"
     path.parent.mkdir()

@@ -20,7 +20,7 @@ from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, cut
 from knotgym.envs.task_states import task_sides
-from knotgym.rendering import PictureConfig, draw, drawer_of
+from knotgym.rendering import Drawer, PictureConfig, draw
 from knotgym.states import States, merge_states, write_states
 from knotgym.topology import GaussCode, label
 
@@ -142,7 +142,7 @@ def test_a_photo_keeps_its_table_for_an_episode_and_marks_the_base(make: Make) -
     assert first.shape == (96, 192, 3)
     corner = np.s_[:8, :8]
     assert np.abs(first[corner].astype(int) - second[corner]).mean() < 12
-    drawer: Any = drawer_of("photo")
+    drawer: Any = Drawer.of("photo")
     look = drawer.for_episode(env.episodes.goals.points[info["goal"]], 96, info["goal"])
     points = env.episodes.goals.points[info["goal"]].astype(np.float32).astype(np.float64)
     assert look.marked and not look.occluders and look.tilt == 0

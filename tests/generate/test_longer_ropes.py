@@ -11,7 +11,7 @@ from knotgym.cli import code_list
 from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy
 from knotgym.envs import KnotEnv, TaskConfig
-from knotgym.rendering import draw, picture_of
+from knotgym.rendering import PictureConfig, draw
 from knotgym.rope import RopeConfig
 from knotgym.states import merge_states, read_states, shipped
 
@@ -34,7 +34,7 @@ def test_states_of_another_rope_say_so_and_have_no_fault(states: Path) -> None:
     assert held.attributes["rope"] == RopeConfig.of(BEADS).fingerprint
     assert held.attributes["config"]["beads"] == BEADS
     assert held.image is not None
-    assert np.array_equal(held.image[0], draw(held.points[0], picture_of(BEADS)))
+    assert np.array_equal(held.image[0], draw(held.points[0], PictureConfig.of(BEADS)))
     assert knotgym.verify(states) == []
 
 

@@ -11,22 +11,22 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.quality import measures
 from knotgym.quality.limits import LEGIBLE, UNAMBIGUOUS, UNTWISTED, Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
-from knotgym.rendering import DEFAULT, strand_spacing
+from knotgym.rendering import PictureConfig, strand_spacing
 from knotgym.rope import Rope
 from knotgym.states import read_states, shipped
 from knotgym.topology import find_crossings
 
 from ..conftest import curled
 
-PIXEL = DEFAULT.view / DEFAULT.size  # metres
-RADIUS = DEFAULT.rope_radius / PIXEL  # pixels
+PIXEL = PictureConfig().view / PictureConfig().size  # metres
+RADIUS = PictureConfig().rope_radius / PIXEL  # pixels
 
 PERFECT = Quality(90.0, 128.0, 128.0, 128.0, 900.0, 900.0, 40.0, 20.0, 0.0, 1.0, 0.0)
 
 
 def measure(points: ArrayLike, **settings: Any) -> Quality:
     """Measure in the usual picture of a rope of 100 beads, whatever the number of vertices."""
-    return measures.measure(points, config=DEFAULT, **settings)
+    return measures.measure(points, config=PictureConfig(), **settings)
 
 
 def drawn(corners: ArrayLike, vertices: int = 800) -> NDArray[np.float64]:
@@ -222,7 +222,7 @@ def test_the_smallest_face_has_the_area_that_was_drawn() -> None:
 
 @pytest.mark.parametrize("scale", [1, 2])
 def test_the_smallest_region_is_the_background_left_beside_the_rope(scale: int) -> None:
-    config = replace(DEFAULT, size=scale * DEFAULT.size)
+    config = replace(PictureConfig(), size=scale * PictureConfig().size)
     quality = measures.measure(bow_tie(40, 40), config=config)
     inner = quality.smallest_face - scale**2 * RADIUS * (80 + 2 * math.hypot(40, 40))
     assert quality.smallest_region == pytest.approx(inner, rel=0.03)

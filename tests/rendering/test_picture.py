@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.rendering.camera import PictureConfig, bead_colours, project
-from knotgym.rendering.picture import crossing_pixels, draw, draw_many
+from knotgym.rendering.picture import draw
 from knotgym.states import read_states, shipped
 from knotgym.topology import find_crossings
 
@@ -211,10 +211,10 @@ def test_draw_many_is_draw_many_times() -> None:
         PictureConfig(),
         PictureConfig(camera="perspective", background=(20, 30, 40), size=96),
     ):
-        together = draw_many(curves()[:5], config)
+        together = draw(curves()[:5], config)
         assert together.dtype == np.uint8
         assert np.array_equal(together, np.stack([draw(points, config) for points in curves()[:5]]))
-    assert draw_many(np.empty((0, 100, 3))).shape == (0, 128, 128, 3)
+    assert draw(np.empty((0, 100, 3))).shape == (0, 128, 128, 3)
 
 
 def test_the_background_is_what_was_asked_for() -> None:
@@ -250,7 +250,7 @@ def test_neighbouring_beads_leave_no_gap() -> None:
 
 def test_the_picture_is_that_of_a_ray_tracer() -> None:
     config = PictureConfig()
-    drawn = draw_many(curves()[:12], config)
+    drawn = draw(curves()[:12], config)
     exact = np.stack([traced(points, config) for points in curves()[:12]])
     mean, far, wrong, overlap = differences(drawn, exact)
     assert mean < 3.5 and far < 0.01 and wrong < 0.001 and overlap > 0.97
@@ -315,7 +315,7 @@ def test_crossing_pixels_lie_on_both_strands() -> None:
     along = points[bead] + (places % 1.0)[..., None] * (points[(bead + 1) % 100] - points[bead])
     for strand in (0, 1):
         assert project(along[:, strand], center=points.mean(axis=0)) == pytest.approx(
-            crossing_pixels(crossings, points), abs=1e-6
+            project(crossings.over_points, center=points.mean(axis=0)), abs=1e-6
         )
 
 
@@ -355,8 +355,8 @@ def test_no_opengl_is_one_clear_line() -> None:
     ],
 )
 def test_both_renderers_draw_the_same_picture(config: PictureConfig, mean_limit: float) -> None:
-    opencv = draw_many(curves(), config)
-    mujoco = draw_many(curves(), dataclasses.replace(config, renderer="mujoco"))
+    opencv = draw(curves(), config)
+    mujoco = draw(curves(), dataclasses.replace(config, renderer="mujoco"))
     mean, far, wrong, overlap = differences(opencv, mujoco)
     assert mean < mean_limit and far < 0.01 and wrong < 0.002 and overlap > 0.95
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from knotgym.rendering import project
 from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConfig
-from knotgym.rendering.picture import crossing_pixels, draw
+from knotgym.rendering.picture import draw
 from knotgym.rendering.variation import Appearance, Drawer
 from knotgym.rope import Array, Rope
 from knotgym.topology import find_crossings, label
@@ -70,7 +71,7 @@ def test_a_turned_or_zoomed_picture_shows_its_crossings_where_it_says(points: Ar
             "over",
             "ambiguous",
         }
-        for x, y in crossing_pixels(crossings, points, config):
+        for x, y in project(crossings.over_points, config, points.mean(axis=0)):
             assert render(points, look)[int(y), int(x)].any()
 
 

@@ -12,9 +12,8 @@ from knotgym.common import MissingExtra
 from knotgym.rendering.video import (
     FRAMES_PER_SECOND,
     OUTCOMES,
+    Film,
     film_frame,
-    film_frames,
-    write_film,
 )
 from knotgym.rope import Rope
 
@@ -25,7 +24,7 @@ FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 
 
 @pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm", "a.MP4"])
 def test_a_film_shows_what_it_was_given_at_the_speed_of_the_rope(tmp_path: Path, name: str) -> None:
-    write_film(tmp_path / name, FRAMES)
+    Film(tmp_path / name).write(FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     film = cv2.VideoCapture(str(tmp_path / name))
     assert film.get(cv2.CAP_PROP_FPS) == FRAMES_PER_SECOND
@@ -37,7 +36,7 @@ def test_a_film_shows_what_it_was_given_at_the_speed_of_the_rope(tmp_path: Path,
 
 @pytest.mark.parametrize(("name", "codec"), [("a.mp4", "h264"), ("a.webm", "vp9")])
 def test_films_are_of_a_kind_that_browsers_play(tmp_path: Path, name: str, codec: str) -> None:
-    write_film(tmp_path / name, FRAMES)
+    Film(tmp_path / name).write(FRAMES)
     with av.open(str(tmp_path / name)) as film:
         stream = film.streams.video[0]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == (codec, "yuv420p")
@@ -49,8 +48,8 @@ def test_a_film_that_needs_pyav_names_the_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(MissingExtra, match=r"pip install '\.\[video\]'"):
-        write_film(tmp_path / "a.mp4", FRAMES)
-    write_film(tmp_path / "a.gif", FRAMES)
+        Film(tmp_path / "a.mp4").write(FRAMES)
+    Film(tmp_path / "a.gif").write(FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
 
 
@@ -76,7 +75,7 @@ def test_a_frame_names_its_halves_and_has_both_codes_in_one_notation(
 def test_a_film_says_at_its_end_whether_the_goal_was_reached() -> None:
     loop, pull = Rope().loop(), (0, np.zeros(3))
     for reached, outcome in (([False, True], "reached"), ([False, False], "failed")):
-        first, *rest = film_frames([loop, loop], loop, ["0", "1"], [pull], reached)
+        first, *rest = Film.frames([loop, loop], loop, ["0", "1"], [pull], reached)
         assert len(rest) == 1 + FRAMES_PER_SECOND
         assert (rest[-1][4, 4:-4] == OUTCOMES[outcome]).all()
         assert (first[4, 4:-4] != OUTCOMES[outcome]).any()
@@ -84,7 +83,7 @@ def test_a_film_says_at_its_end_whether_the_goal_was_reached() -> None:
 
 def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
     loop = Rope().loop()
-    frames = film_frames([loop, loop / 2], loop, ["0", "1"], [(0, np.zeros(3))], [False, False])
+    frames = Film.frames([loop, loop / 2], loop, ["0", "1"], [(0, np.zeros(3))], [False, False])
     wide = [
         np.ptp(np.flatnonzero((frame[40:340, :384].max(axis=2) > 60).any(axis=0)))
         for frame in (frames[0], film_frame(loop / 2, loop, "1"))

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.rendering import project
 from knotgym.rendering.camera import PictureConfig
-from knotgym.rendering.picture import crossing_pixels, draw, draw_many
+from knotgym.rendering.picture import draw
 from knotgym.topology import find_crossings
 
 from .test_picture import curves, shown_strands
@@ -44,7 +45,7 @@ def test_a_side_view_is_the_top_view_of_the_rope_turned(
 def test_views_stand_one_below_another_in_the_order_asked_for() -> None:
     single = {view: draw(spread(), PictureConfig(views=(view,))) for view in ALL}
     for views in (ALL, ("front", "top")):
-        together = draw_many(spread()[None], PictureConfig(views=views))[0]
+        together = draw(spread()[None], PictureConfig(views=views))[0]
         assert np.array_equal(together, np.concatenate([single[view] for view in views]))
 
 
@@ -77,7 +78,8 @@ def test_at_a_crossing_depth_is_that_of_the_over_strand() -> None:
     for points in curves()[:12]:
         image, crossings = draw(points, config), find_crossings(points)
         over = shown_strands(image, crossings, points, config) == "over"
-        column, row = np.floor(crossing_pixels(crossings, points, config)[over]).astype(int).T
+        pixels = project(crossings.over_points[over], config, points.mean(axis=0))
+        column, row = np.floor(pixels).astype(int).T
         off.append(image[row, column, 3] - level(crossings.over_z[over] - points[:, 2].mean()))
     levels = np.concatenate(off)
     # 3.4 mm are 1.3 levels, rounding is half a one; within a pixel steep strands rise by more

@@ -146,9 +146,9 @@ def evaluate(
         wrong = "needs the --out of the evaluation" if out is None else "is no film and no entry"
         raise InvalidInput(f"a shard {wrong}")
     if video is not None:
-        from knotgym.rendering import require_film
+        from knotgym.rendering import Film
 
-        require_film(video)
+        Film(video)
     _require_playable(config)
     made_by, results, films = identity(config), list[Result](), list[Episodes]()
 
@@ -292,13 +292,13 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
     Returns:
         RGB pictures of one size, uint8, one for each state.
     """
-    from knotgym.rendering import film_frames
+    from knotgym.rendering import Film
 
     one = episodes.select([row])
     own, steps = one.episodes, one.steps
     pulls = zip(steps["bead"][:-1].tolist(), steps["force"][:-1].astype(np.float64), strict=True)
     length = int(own["length"][0])
-    return film_frames(
+    return Film.frames(
         list(steps["observation"].astype(np.float64)),
         own["goal_points"][0].astype(np.float64),
         [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
@@ -311,7 +311,7 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
 def _write_film(
     config: EvaluateConfig, films: Sequence[Episodes], video: Path, overwrite: bool
 ) -> None:
-    from knotgym.rendering import write_film
+    from knotgym.rendering import Film
 
     frames = [
         frame
@@ -320,7 +320,7 @@ def _write_film(
         for frame in film(one, task, row)
     ]
     with atomic_write(video, overwrite=overwrite) as temporary:
-        write_film(temporary, frames)
+        Film(temporary).write(frames)
 
 
 def result_of(policy: str, action: str, task: TaskConfig, played: Table) -> Result:

@@ -28,7 +28,7 @@ from knotgym.datasets import STARTS, STEPS
 from knotgym.envs import TaskConfig
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.quality import LEGIBLE, base_spacing, ease, grade_of, measure
-from knotgym.rendering import APPEARANCES, drawer_of, drawn_camera, tilted
+from knotgym.rendering import APPEARANCES, Drawer
 from knotgym.rope import Array
 from knotgym.runs import Result
 from knotgym.states import NEAR, Spectra, held_form
@@ -79,14 +79,14 @@ def frames_of(
         for name in ("points", "rope", "pulls", "nx", "ease", "symmetries", "codes", "camera")
     }
     look, sight = config.appearance, (0.0, 0.0)
-    kind, drawer = APPEARANCES[look.name], drawer_of(look.name)
+    kind, drawer = APPEARANCES[look.name], Drawer.of(look.name)
     dropped: Counter[str] = Counter()
     for (index, pulls), points in _observed(config, ropes, start_qpos).items():
         rope = ropes[index]
         if kind.tilted:
             camera = Stream.IMAGE_CAMERA.generator(config.seed, rope.number, pulls)
-            sight = drawn_camera(camera, look.tilt)
-            points = tilted(points, *sight)
+            sight = drawer.camera(look, camera)
+            points = drawer.seen(points, sight)
         crossings = find_crossings(points)
         if crossings.nx not in wanted[rope.split]:
             dropped["crossings"] += 1

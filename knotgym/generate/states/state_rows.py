@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 import knotgym
 from knotgym.common import Table
 from knotgym.quality import Limits, Quality, measure, noise_survival
-from knotgym.rendering import draw_many, picture_of
+from knotgym.rendering import PictureConfig, draw
 from knotgym.rope import Array, RopeConfig
 from knotgym.runs import Result
 from knotgym.states import NEAR, STATES, RopeAtRest, Spectra, States, distances, pairs_within
@@ -124,7 +124,7 @@ def states_of(
         config: the generating configuration, as JSON.
     """
     points = rows["points"]
-    columns = {**rows, "split": split, "image": draw_many(points, picture_of(points.shape[1]))}
+    columns = {**rows, "split": split, "image": draw(points, PictureConfig.of(points.shape[1]))}
     attributes = {
         "knotgym": knotgym.__version__,
         "mujoco": mujoco.__version__,
