@@ -49,9 +49,11 @@ class _RecordedPlayer(Player):
         self._row = np.zeros(batch.count, dtype=np.int64)
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self.names = [name] * batch.count
-        # the start to the bit, noise included, and the goal: together they name an episode
-        keys = zip(self._rows["start_qpos"], self._rows["goal_visits"], strict=True)
-        self._known = {_key(*one): row for row, one in enumerate(keys)} if name else {}
+        self._known: dict[_Key, int] = {}
+        if name:
+            # the start to the bit, noise included, and the goal: together they name an episode
+            keys = zip(self._rows["start_qpos"], self._rows["goal_visits"], strict=True)
+            self._known = {_key(*one): row for row, one in enumerate(keys)}
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         batch, rows = self._batch, self._rows
