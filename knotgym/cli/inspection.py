@@ -22,7 +22,7 @@ from knotgym.datasets import (
     summary,
     try_files,
 )
-from knotgym.generate import Result, is_entry, read_entry, replayed, result_of
+from knotgym.generate import Result, is_entry, read_entry, recounted
 from knotgym.generate import film as film_of
 from knotgym.generate import show as show_results
 from knotgym.prompting import show_transcripts
@@ -68,14 +68,10 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
     large = sum(file.stat().st_size for file in tables) > _LARGE
     progress.stage(f"checking {root}")
     if is_entry(root):
-        results = list[Result]()
-        with executor(0) as pool:
-            entry = read_entry(root)
-            setups = zip(entry.config.setups(), replayed(entry, pool.map), strict=True)
-            for number, ((policy, _), (task, episodes, wrong)) in enumerate(setups):
-                yield from (f"{root}: {fault}" for fault in wrong)
-                action = str(entry.claimed[number].get("action", ""))
-                results.append(result_of(policy.policy, action, task, episodes.episodes))
+        results, entry = list[Result](), read_entry(root)
+        for result, wrong in recounted(entry):
+            yield from (f"{root}: {fault}" for fault in wrong)
+            results.append(result)
         show_results(results, progress.console, entry.config.task.engine)
         for number, claimed in enumerate(entry.claimed, 1):
             progress.say(one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))

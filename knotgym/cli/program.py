@@ -25,6 +25,7 @@ COMMANDS = {
     "suite": "Make the fixed benchmark of offline datasets, or a part of it.",
     "train": "Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.",
     "evaluate": "Measure the success rates of policies, with 95 % confidence intervals.",
+    "compare": "Compare results: differences of success rates with intervals.",
     "play": "Pull the rope by hand in a browser.",
     "images": "Generate labelled pictures for perception.",
     "prompt": "Evaluate a vision-language model on episodes, or on reading Gauss codes from"

@@ -1,13 +1,14 @@
 from .episodes.collect import collect as collect
 from .episodes.collect import require_collectable as require_collectable
+from .episodes.comparison import compare as compare
+from .episodes.comparison import scores_in as scores_in
 from .episodes.entries import is_entry as is_entry
 from .episodes.entries import read_entry as read_entry
-from .episodes.entries import replayed as replayed
+from .episodes.entries import recounted as recounted
 from .episodes.episode_configs import CollectConfig as CollectConfig
 from .episodes.episode_configs import EvaluateConfig as EvaluateConfig
 from .episodes.evaluate import evaluate as evaluate
 from .episodes.evaluate import film as film
-from .episodes.evaluate import result_of as result_of
 from .episodes.recordings import Recording as Recording
 from .episodes.recordings import recordings as recordings
 from .episodes.recordings import write_recordings as write_recordings

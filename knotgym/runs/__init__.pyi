@@ -5,7 +5,9 @@ from .identities import FIELDS as FIELDS
 from .identities import identity as identity
 from .identities import identity_of as identity_of
 from .identities import versions as versions
+from .intervals import Difference as Difference
 from .intervals import cluster_interval as cluster_interval
+from .intervals import difference_interval as difference_interval
 from .intervals import wilson as wilson
 from .journal import Journal as Journal
 from .journal import Result as Result

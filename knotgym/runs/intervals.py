@@ -7,6 +7,8 @@ it resamples states and not episodes.
 
 import math
 from collections.abc import Sequence
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,9 +36,7 @@ def wilson(successes: float, trials: float, z: float = _Z) -> tuple[float, float
     )
 
 
-def cluster_interval(
-    success: Sequence[int], starts: ArrayLike, goals: ArrayLike
-) -> tuple[float, float]:
+def cluster_interval(success: Sequence[int], *clusters: ArrayLike) -> tuple[float, float]:
     """Return the 95 % interval of a success rate whose episodes share starts and goals.
 
     A bootstrap over starts and one over goals give the variance of the rate:
@@ -60,25 +60,76 @@ def cluster_interval(
 
     Args:
         success: 0 or 1 for each episode; at least one episode.
-        starts, goals: identifiers of each episode's start and goal.
+        clusters: identifiers of each episode's start and goal; each more, such as its training's
+            seed, adds a term, and subtracts the variance within once more.
 
     >>> [round(end, 2) for end in cluster_interval([0] * 60, [*range(20)] * 3, [0] * 60)]
     [0.0, 0.16]
     """
     outcome = np.asarray(success, dtype=np.float64)
     n, rate = len(outcome), float(outcome.mean())
-    sides = [np.unique(np.asarray(labels), return_inverse=True)[1] for labels in (starts, goals)]
-    counts = [int(side.max()) + 1 for side in sides]
     if rate in (0.0, 1.0):
-        return wilson(rate * max(counts), max(counts))
-    rng = Stream.INTERVAL.generator(0)
-    variances = [_variance(outcome, side, rng) for side in sides]
-    within = rate * (1 - rate) / n
-    # V is at least each of its terms, but its estimate can fall below them by chance.
-    variance = max(sum(variances) - within, *variances, within)
-    freedom = min((count - 1 for count in counts if count > 1), default=0)
+        most = max(len(np.unique(np.asarray(labels))) for labels in clusters)
+        return wilson(rate * most, most)
+    variance, freedom = _spread(outcome, clusters, rate * (1 - rate) / n)
     trials = rate * (1 - rate) / variance
     return wilson(rate * trials, trials, _student(freedom) if freedom else _Z)
+
+
+class Difference(NamedTuple):
+    """How much larger one mean is than another.
+
+    Attributes:
+        mean, low, high: the difference and its 95 % interval.
+        better: probability that it is positive on new states, by the normal distribution.
+    """
+
+    mean: float
+    low: float
+    high: float
+    better: float
+
+
+def difference_interval(*sides: tuple[ArrayLike, Sequence[ArrayLike]]) -> Difference:
+    """Compare two means whose episodes share starts and goals, see `cluster_interval`.
+
+    What a state adds to both cancels in the differences of paired episodes, so one side, which
+    holds them, has a narrower interval than two.
+
+    Args:
+        sides: values in [-1, 1] of each episode, and clusters: of differences; or of the one, and
+            of the one that is subtracted.
+    """
+    parts = [(np.asarray(values, np.float64), clusters) for values, clusters in sides]
+    mean = float(parts[0][0].mean()) - sum(float(values.mean()) for values, _ in parts[1:])
+    found = [_spread(values, own, float(values.var()) / len(values)) for values, own in parts]
+    variance = sum(one[0] for one in found)
+    if not variance:  # nothing varies; each state then counts as one trial
+        most = max(len(np.unique(np.asarray(one))) for _, own in parts for one in own)
+        half, better = wilson(0, most)[1], (1 + np.sign(mean)) / 2
+    else:
+        half = _student(max(1, min(freedom for _, freedom in found))) * math.sqrt(variance)
+        better = NormalDist().cdf(mean / math.sqrt(variance))
+    return Difference(mean, max(-1.0, mean - half), min(1.0, mean + half), float(better))
+
+
+def _spread(
+    values: NDArray[np.float64], clusters: Sequence[ArrayLike], within: float
+) -> tuple[float, int]:
+    """Return the variance of the mean of values, and its degrees of freedom.
+
+    Args:
+        values: (n,).
+        clusters: identifiers (n,) each.
+        within: the variance if all values were independent.
+    """
+    sides = [np.unique(np.asarray(labels), return_inverse=True)[1] for labels in clusters]
+    counts = [int(side.max()) + 1 for side in sides]
+    rng = Stream.INTERVAL.generator(0)
+    variances = [_variance(values, side, rng) for side in sides]
+    # It is at least each of its terms, but its estimate can fall below them by chance.
+    variance = max(sum(variances) - (len(sides) - 1) * within, *variances, within)
+    return variance, min((count - 1 for count in counts if count > 1), default=0)
 
 
 def _variance(

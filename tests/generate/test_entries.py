@@ -11,7 +11,7 @@ import pytest
 from knotgym.common import KnotgymError, Table, read_tables, write_tables
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry, replayed, result_of
+from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry, recounted
 from knotgym.generate.episodes import entries
 from knotgym.runs import RunOptions, Shard
 
@@ -35,13 +35,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 def rows_of(path: Path) -> tuple[list[Result], list[str]]:
     """What replaying an entry counts, and its faults."""
-    entry, found, faults = read_entry(path), list[Result](), list[str]()
-    for (policy, _), (task, episodes, wrong) in zip(
-        entry.config.setups(), replayed(entry), strict=True
-    ):
-        found.append(result_of(policy.policy, "pull", task, episodes.episodes))
-        faults += wrong
-    return found, faults
+    found = [*recounted(read_entry(path))]
+    return [result for result, _ in found], [fault for _, faults in found for fault in faults]
 
 
 def test_replaying_counts_what_was_counted(made: Made) -> None:

@@ -18,7 +18,7 @@ policy and not a search chose the pulls, is shown as claimed.
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,8 +47,10 @@ from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
 from knotgym.generate.episodes.recordings import DIGEST, digests
-from knotgym.rope import RopeConfig
+from knotgym.generate.episodes.results import Result, result_of
+from knotgym.rope import MUJOCO, RopeConfig
 from knotgym.runs import Result as Kept
+from knotgym.runs import executor
 from knotgym.states import is_bundled, resolve_states
 
 FORMAT, VERSION = "knotgym-entry", 1
@@ -61,7 +63,6 @@ ROWS = Schema(
     "an episode, setup after setup",
 )
 PULLED = Schema("steps", PULLS.columns[:2], "a pull, episode after episode")
-Map = Callable[..., Iterable[Any]]  # as the built-in `map`
 
 
 class Entry(NamedTuple):
@@ -93,7 +94,7 @@ def write_entry(
         pulls.append(Table(PULLED, {c.name: one.steps[c.name][made] for c in PULLED.columns}))
     said = {
         "config": as_json(config),
-        "states": _states(config),
+        "states": states_digests(config),
         "rope": RopeConfig().fingerprint,
         "claimed": claimed,
     }
@@ -117,7 +118,7 @@ def read_entry(path: Path) -> Entry:
         raise InvalidFile(f"{path}: its columns and attributes don't match its digest")
     try:
         config = from_json(EvaluateConfig, said["config"])
-        states, claimed = _states(config), [dict(one) for one in said["claimed"]]
+        states, claimed = states_digests(config), [dict(one) for one in said["claimed"]]
     except (KnotgymError, LookupError, TypeError, ValueError) as error:
         raise InvalidFile(f"{path} has no valid configuration: {one_line(error)}") from error
     if said.get("states") != states:
@@ -143,36 +144,37 @@ def read_entry(path: Path) -> Entry:
     return Entry(config, rows, pulls, claimed)
 
 
-def replayed(entry: Entry, each: Map = map) -> Iterator[tuple[TaskConfig, Episodes, list[str]]]:
-    """Replay an entry: yield the task of each setup, its episodes and their faults.
-
-    Args:
-        entry: what was read.
-        each: replaces `map`, and may run in parallel.
-    """
-    ends, first = np.cumsum(entry.rows["length"]).tolist(), 0
-    for setup, (policy, task) in enumerate(entry.config.setups()):
-        few = blocks(entry.config.episodes, task, policy.plans)
-        numbers = [range(first + one.start, first + one.stop) for one in few]
-        pulled = [
-            slice(ends[own.start] - int(entry.rows["length"][own.start]), ends[own.stop - 1])
-            for own in numbers
-        ]
-        rows = [entry.rows.take(slice(own.start, own.stop)) for own in numbers]
-        pulls = [entry.pulls.take(own) for own in pulled]
-        seeds = [
-            [Stream.EVALUATION_EPISODE.derived_seed(entry.config.seed, k) for k in one]
-            for one in few
-        ]
-        made = [*each(_replayed, [task] * len(few), seeds, rows, pulls)]
-        wrong = np.concatenate([one.pop("wrong") for one in made])
-        faults = [
-            f"setup {setup + 1}, episode {k}: replayed, it ends otherwise or comes through other"
-            " states"
-            for k in np.flatnonzero(wrong).tolist()
-        ]
-        yield task, Episodes.merged([Episodes.of(one) for one in made]), faults
-        first += entry.config.episodes
+def recounted(entry: Entry) -> Iterator[tuple[Result, list[str]]]:
+    """Replay an entry: yield the result of each setup and its faults."""
+    config, first = entry.config, 0
+    ends = np.cumsum(entry.rows["length"]).tolist()
+    # the chain engine replays an entry sooner than workers start
+    with executor(0 if config.task.engine == MUJOCO else 1) as pool:
+        for setup, (policy, task) in enumerate(config.setups()):
+            few = blocks(config.episodes, task, policy.plans)
+            numbers = [range(first + one.start, first + one.stop) for one in few]
+            pulled = [
+                slice(ends[own.start] - int(entry.rows["length"][own.start]), ends[own.stop - 1])
+                for own in numbers
+            ]
+            rows = [entry.rows.take(slice(own.start, own.stop)) for own in numbers]
+            pulls = [entry.pulls.take(own) for own in pulled]
+            seeds = [
+                [Stream.EVALUATION_EPISODE.derived_seed(config.seed, k) for k in one] for one in few
+            ]
+            made = [
+                *map(dict[str, Any], pool.map(_replayed, [task] * len(few), seeds, rows, pulls))
+            ]
+            wrong = np.concatenate([one.pop("wrong") for one in made])
+            faults = [
+                f"setup {setup + 1}, episode {k}: replayed, it ends otherwise or comes through"
+                " other states"
+                for k in np.flatnonzero(wrong).tolist()
+            ]
+            action = str(entry.claimed[setup].get("action", ""))
+            episodes = Episodes.merged([Episodes.of(one) for one in made]).episodes
+            yield result_of(policy.policy, action, task, episodes), faults
+            first += config.episodes
 
 
 def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> Kept:
@@ -196,7 +198,7 @@ def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> 
     return {**made._replace(steps=made.steps.only("bead")).columns(), "wrong": wrong}
 
 
-def _states(config: EvaluateConfig) -> dict[str, str]:
+def states_digests(config: EvaluateConfig) -> dict[str, str]:
     """The digests of the sets of states, by their names; own files have one name."""
     named = [name for _, _, name in marked(EvaluateConfig, config, "states")]
     return {

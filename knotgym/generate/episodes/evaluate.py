@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, Occupied, Stream, Table, atomic_write, require_output
+from knotgym.common import InvalidInput, Occupied, Stream, atomic_write, require_output
 from knotgym.control import PolicyConfig, make_policy, rollouts, training_card
 from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.entries import write_entry
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.results import Result, evaluation_in, show
+from knotgym.generate.episodes.results import Result, evaluation_in, result_of, show
 from knotgym.runs import (
     Call,
     Progress,
@@ -321,38 +321,3 @@ def _write_film(
     ]
     with atomic_write(video, overwrite=overwrite) as temporary:
         Film(temporary).write(frames)
-
-
-def result_of(policy: str, action: str, task: TaskConfig, played: Table) -> Result:
-    """Return the result of a setup.
-
-    Args:
-        policy: name of the policy.
-        action: view that it acts in.
-        task: the environment.
-        played: rows of the episodes.
-    """
-    success, length = played["success"], played["length"]
-    named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
-    listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
-    low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
-    (starts, goals), *_ = task_sides(task)
-    return Result(
-        policy=policy,
-        task=task.tasks[0],
-        nx=task.crossings[0],
-        split=task.split,
-        action=action,
-        episodes=played.rows,
-        successes=int(success.sum()),
-        success_rate=float(success.mean()),
-        low=low,
-        high=high,
-        steps=float(length[success].mean()) if success.any() else None,
-        mean_return=float(played["return_"].mean()),
-        planned_actions=float(played["planner_steps"].mean()),
-        simulation_failures=int(played["diverged"].sum()),
-        start_states=starts.origin,
-        goal_states=goals.origin,
-        outcomes=listed,
-    )

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveInt
 from rich.console import Console
 
@@ -13,14 +14,15 @@ from knotgym.common import (
     InvalidFile,
     InvalidInput,
     Share,
+    Table,
     configuration,
     from_json,
     one_line,
     read_json,
 )
-from knotgym.envs import OWN, SHIPPED
+from knotgym.envs import OWN, SHIPPED, TaskConfig, task_sides
 from knotgym.rope import MUJOCO
-from knotgym.runs import narrow_table
+from knotgym.runs import cluster_interval, narrow_table
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
 _OUTCOMES = ("start", "goal", "success", "steps")
@@ -84,6 +86,41 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
         raise InvalidFile(
             f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
         ) from error
+
+
+def result_of(policy: str, action: str, task: TaskConfig, played: Table) -> Result:
+    """Return the result of a setup.
+
+    Args:
+        policy: name of the policy.
+        action: view that it acts in.
+        task: the environment.
+        played: rows of the episodes.
+    """
+    success, length = played["success"], played["length"]
+    named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
+    listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
+    low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
+    (starts, goals), *_ = task_sides(task)
+    return Result(
+        policy=policy,
+        task=task.tasks[0],
+        nx=task.crossings[0],
+        split=task.split,
+        action=action,
+        episodes=played.rows,
+        successes=int(success.sum()),
+        success_rate=float(success.mean()),
+        low=low,
+        high=high,
+        steps=float(length[success].mean()) if success.any() else None,
+        mean_return=float(played["return_"].mean()),
+        planned_actions=float(played["planner_steps"].mean()),
+        simulation_failures=int(played["diverged"].sum()),
+        start_states=starts.origin,
+        goal_states=goals.origin,
+        outcomes=listed,
+    )
 
 
 def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:

@@ -1,0 +1,155 @@
+"""Compare results: the difference of success rates, with its interval.
+
+Episode i of a seed begins alike for every policy, so results of one cell and seed are compared
+episode by episode. What makes a start hard then cancels, and the interval is narrower.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from knotgym.common import InvalidFile, InvalidInput, as_json, one_line
+from knotgym.generate.episodes.entries import (
+    is_entry,
+    read_entry,
+    recounted,
+    states_digests,
+)
+from knotgym.generate.episodes.results import Result, evaluation_in
+from knotgym.runs import Difference, difference_interval, narrow_table
+
+_VIEWS = {"task", "nx", "split", "states", "action", "observation", "frame"}
+_WIDTH = 15  # characters of a plot
+
+
+class Score(NamedTuple):
+    """A result and what it may be compared with.
+
+    Attributes:
+        file: that it is from.
+        cell: settings that must be the same in what it is compared with, as text.
+        seed: of the evaluation.
+        result: the result.
+        claimed: what an entry claims of it.
+    """
+
+    file: Path
+    cell: str
+    seed: int
+    result: Result
+    claimed: dict[str, Any]
+
+
+def scores_in(path: Path) -> list[Score]:
+    """Return the results in an entry, which is replayed, or in a file of `evaluate --out`.
+
+    Raises:
+        InvalidFile: it is neither, or an entry doesn't replay.
+    """
+    if is_entry(path):
+        entry = read_entry(path)
+        results = list[Result]()
+        for one, faults in recounted(entry):
+            if faults:
+                raise InvalidFile(f"{path}: {faults[0]}")
+            results.append(one)
+        config, digests, claimed = (
+            as_json(entry.config),
+            states_digests(entry.config),
+            entry.claimed,
+        )
+    else:
+        with evaluation_in(path) as (content, found):
+            config, digests = content["config"], (content["source"] or {}).get("states", {})
+            results, claimed = found, [{} for _ in found]
+            dict(config["task"], seed=config["seed"]), dict(digests)  # raise if they aren't there
+    rest = {name: value for name, value in config["task"].items() if name not in _VIEWS}
+    rest["states"] = sorted(digests.values())
+    return [
+        Score(path, json.dumps([one.task, one.nx, one.split, rest]), config["seed"], one, own)
+        for one, own in zip(results, claimed, strict=True)
+    ]
+
+
+def difference(one: Score, base: Score, paired: bool = True) -> tuple[Difference, bool]:
+    """Return how much higher a success rate is than another, and whether episodes were paired.
+
+    Args:
+        one, base: two scores of one cell.
+        paired: whether to pair episodes where starts are the same.
+    """
+    sides = [(own.result.outcomes["success"], own.result.outcomes) for own in (one, base)]
+    n = min(len(success) for success, _ in sides)
+    same = one.seed == base.seed and all(
+        one.result.outcomes[side][:n] == base.result.outcomes[side][:n]
+        for side in ("start", "goal")
+    )
+    if paired and same:
+        gained = np.subtract(sides[0][0][:n], sides[1][0][:n])
+        clusters = [base.result.outcomes[side][:n] for side in ("start", "goal")]
+        return difference_interval((gained, clusters)), True
+    clustered = [(success, [own["start"], own["goal"]]) for success, own in sides]
+    return difference_interval(*clustered), False
+
+
+def compare(paths: Sequence[Path], console: Console) -> None:
+    """Print, for each cell, how much higher success rates are than that of its first result.
+
+    Args:
+        paths: entries and files of `evaluate --out`.
+        console: where to print.
+
+    Raises:
+        InvalidFile: as `scores_in`.
+        InvalidInput: no two results are of one cell.
+    """
+    scores, cells = (
+        [one for path in paths for one in scores_in(path)],
+        dict[str, list[Score]](),
+    )
+    for one in scores:
+        cells.setdefault(one.cell, []).append(one)
+    if all(len(own) < 2 for own in cells.values()):
+        raise InvalidInput("no two results are of the same task, nx, split, states and engine")
+    for own in filter(lambda own: len(own) > 1, cells.values()):
+        base = own[0]
+        found = [difference(one, base) for one in own[1:]]
+        reach = max([0.01, *(abs(end) for one, _ in found for end in one[1:3])])
+        table = narrow_table(
+            ("policy", "success", "difference", "better", "plot"),
+            title=f"{base.result.task} nx {base.result.nx}, {base.result.split}, against"
+            f" {_name(base, own)}",
+            left=("policy", "plot"),
+        )
+        table.add_row(_name(base, own), f"{100 * base.result.success_rate:.1f} %", "", "", "")
+        for one, (gained, _) in zip(own[1:], found, strict=True):
+            mean, low, high, better = (100 * part for part in gained)
+            table.add_row(
+                _name(one, own),
+                f"{100 * one.result.success_rate:.1f} %",
+                f"{mean:+.1f} ({low:+.1f} to {high:+.1f})",
+                f"{better:.0f} %",
+                _plot(gained, reach),
+            )
+        console.print(table)
+        paired = sum(is_paired for _, is_paired in found)
+        console.print(f"{paired} of {len(found)} paired by episode", highlight=False)
+
+
+def _name(one: Score, others: Sequence[Score]) -> str:
+    """Name a policy, and its file where another has a policy of that name."""
+    same = [other for other in others if other.result.policy == one.result.policy]
+    return one_line(one.result.policy + f", {one.file.stem}" * (len(same) > 1))
+
+
+def _plot(gained: Difference, reach: float) -> str:
+    """Draw an interval on a scale from -reach to reach, with a line at 0."""
+    places = [round((end / reach + 1) / 2 * (_WIDTH - 1)) for end in gained[:3]]
+    drawn = [" "] * _WIDTH
+    drawn[places[1] : places[2] + 1] = "-" * (places[2] + 1 - places[1])
+    drawn[_WIDTH // 2], drawn[places[0]] = "|", "o"
+    return "".join(drawn)

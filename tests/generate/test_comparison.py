@@ -1,0 +1,57 @@
+"""Results are compared in pairs of the same cell, episode by episode where starts are the same."""
+
+from pathlib import Path
+
+import pytest
+
+from knotgym.control import PolicyConfig
+from knotgym.envs import TaskConfig
+from knotgym.generate import EvaluateConfig, evaluate, scores_in
+from knotgym.generate.episodes.comparison import difference
+from knotgym.runs import RunOptions
+
+from ..small_job import knotgym
+
+Made = tuple[Path, Path]
+TASK = TaskConfig(task="unknot", states="bench", engine="chain", observation="state", horizon=30)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """An entry of two policies that often reach the same goals, and the same as JSON."""
+    folder = tmp_path_factory.mktemp("compared")
+    policies = PolicyConfig(policy="random"), PolicyConfig(policy="scripted")
+    config = EvaluateConfig(policies=policies, tasks=("unknot",), nx=(2,), episodes=128, task=TASK)
+    found = folder / "entry.h5", folder / "scores.json"
+    evaluate(config, RunOptions(workers=1, quiet=True), record=found[0], out=found[1])
+    return found
+
+
+def test_pairs_of_episodes_make_the_interval_narrower(made: Made) -> None:
+    first, second = scores_in(made[0])
+    together, is_paired = difference(second, first)
+    apart, is_not = difference(second, first, paired=False)
+    assert is_paired and not is_not and together.mean == pytest.approx(apart.mean)
+    assert apart.low < together.low < together.mean < together.high < apart.high
+
+
+def test_an_entry_compares_as_the_results_that_were_counted(made: Made) -> None:
+    entry, counted = (scores_in(path) for path in made)
+    for one, other in zip(entry, counted, strict=True):
+        assert difference(one, other)[0][:3] == pytest.approx((0, -0.04, 0.04), abs=0.04)
+        assert one.cell == other.cell and one.result.outcomes == other.result.outcomes
+
+
+def test_the_command_draws_each_difference(
+    made: Made, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert knotgym("compare", *made) == 0
+    said = capsys.readouterr().out
+    assert "scores" in said and "3 of 3 paired" in said and "o" in said
+    assert max(map(len, said.splitlines())) <= 80
+    words = ("--policy", "random", "--task", "tie", "--nx", 2, "--episodes", 1, "--engine", "chain")
+    other = tmp_path / "other.json"
+    assert knotgym("evaluate", *words, "--out", other, "--workers", 1, "--quiet") == 0
+    assert knotgym("compare", other, made[1]) == 0
+    assert knotgym("compare", other) == 2 and "no two results" in capsys.readouterr().err
+    assert knotgym("compare") == 2 and knotgym("compare", tmp_path / "none.h5") == 2
