@@ -13,6 +13,7 @@ train and test share.
 
 import argparse
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,6 @@ from knotgym.quality import Limits
 from knotgym.rope import CHAIN, Array, Rope
 from knotgym.states import (
     STATE_SPLITS,
-    VERTICES,
     States,
     nearest,
     pairs_within,
@@ -112,7 +112,7 @@ def chosen(codes: NDArray[np.str_], splits: NDArray[np.str_], count: int) -> lis
     return found
 
 
-def told(table: Table, points: Array) -> None:
+def told(table: Mapping[str, NDArray[Any]], points: Array) -> None:
     """Print what train and test share."""
     codes = [GaussCode.parse(text) for text in table["gauss_code_chiral"].tolist()]
     nx, plain = np.array([code.nx for code in codes]), np.array([str(code) for code in codes])
@@ -153,7 +153,7 @@ def main() -> None:
         points.append(as_laid[rows])
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     rows = chosen(whole["gauss_code_chiral"], whole["split"], given.count)
-    table = Table(VERTICES, whole).take(rows)
+    table = {name: column[rows] for name, column in whole.items()}
     told(table, np.concatenate(points)[rows])
     write_vertices(given.out, table)
     print(f"{given.out}: {given.out.stat().st_size / 1e6:.2f} MB")

@@ -3,18 +3,18 @@
 import json
 import platform
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from knotgym.common import InvalidInput, atomic_write, one_line, read_json, sha256
-from knotgym.states import leads_out
 
 
 def _inside(name: str) -> str:
-    if not name or leads_out(name) or not name.isprintable():
+    outside = PurePath(name).is_absolute() or ".." in PurePath(name).parts
+    if not name or outside or not name.isprintable():
         raise InvalidInput(f"{one_line(name)!r} is not a file in the folder")
     return name
 

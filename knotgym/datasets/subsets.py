@@ -6,7 +6,7 @@ The result is a file of rows: a state file, an episode file or a Parquet file. I
 
 Conditions are SQL, such as `nx = 3 and success and length < 30`. polars evaluates them on a table
 of the columns and nothing else: a condition that contains a query, by which SQL could read files,
-is refused before it is parsed.
+is refused before it is parsed. As in polars, division by zero is infinite, and NaN is no value.
 """
 
 import re
@@ -185,8 +185,7 @@ def matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.
             its name, such as quality.clearance, may be named by its last word if that is unique.
 
     Raises:
-        InvalidInput: the text is no condition, names no column, or divides by zero; the message is
-            one line.
+        InvalidInput: the text is no condition or names no column; the message is one line.
         MissingExtra: polars isn't installed.
     """
     try:
@@ -201,7 +200,8 @@ def matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.
         raise _refused(text, f"it must be a condition of up to {_LONGEST} characters, not a query")
     try:
         condition = polars.sql_expr(text)
-        _require_sensible(text, condition, frame)
+        if _compares_truth(condition, frame):
+            raise _refused(text, "it compares a truth value with a number; join conditions by and")
         found = frame.select(condition).to_series()
     except polars.exceptions.ColumnNotFoundError as error:
         raise _refused(text, f"columns are {', '.join(columns)}") from error
@@ -212,26 +212,12 @@ def matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.
     return np.asarray(found.fill_null(False).to_numpy(), dtype=bool)
 
 
-def _require_sensible(text: str, expression: Any, frame: Any) -> None:
-    """Refuse parts that give no number where their inputs do, and truth values beside numbers."""
-    import polars
-
+def _compares_truth(expression: Any, frame: Any) -> bool:
+    """Whether a part is of truth values and numbers, as of 1 < nx < 4, which is always true."""
     inputs = expression.meta.pop()
-    valid = np.ones(len(frame), dtype=bool)
-    kinds = set()
-    for one in inputs:
-        _require_sensible(text, one, frame)
-        values = frame.select(one).to_series()
-        if values.dtype in (polars.Float64, polars.Float32) and len(values) == len(frame):
-            valid &= values.is_finite().fill_null(False).to_numpy()
-        kinds.add("number" if values.dtype.is_numeric() else str(values.dtype))
-    if {"number", "Boolean"} <= kinds:
-        raise _refused(text, "a truth value and a number are compared; join two conditions by and")
-    found = frame.select(expression).to_series()
-    if inputs and found.dtype.is_numeric():
-        defined = found.is_not_null() & (found.is_finite() if found.dtype.is_float() else True)
-        if (~defined.to_numpy() & (valid if len(found) == len(frame) else True)).any():
-            raise _refused(text, f"{expression} divides by zero, or has no value, in some row")
+    kinds = [frame.select(one).to_series().dtype for one in inputs]
+    mixed = "Boolean" in map(str, kinds) and any(kind.is_numeric() for kind in kinds)
+    return mixed or any(_compares_truth(one, frame) for one in inputs)
 
 
 def _refused(text: str, why: str) -> InvalidInput:

@@ -62,7 +62,8 @@ def resolve(named: str | os.PathLike[str] | None) -> Path:
     path = Path(named)
     if isinstance(named, Path) or path.exists():
         return path
-    if not leads_out(path) and (minari_root() / path).is_dir():
+    outside = path.is_absolute() or ".." in path.parts
+    if not outside and (minari_root() / path).is_dir():
         return minari_root() / path
     raise MissingFile(
         f"no such file: {path}, nor a Minari dataset of this id under {minari_root()},"
@@ -85,8 +86,3 @@ def resolve_states(named: str | os.PathLike[str] | None) -> Path:
     found = next((one for one in (path, path / "data") if (one / "states.h5").exists()), path)
     require_no_links(path, [found / "states.h5"])
     return found / "states.h5"
-
-
-def leads_out(named: str | os.PathLike[str]) -> bool:
-    """Whether a path is absolute or contains "..", and so may lead out of a folder."""
-    return Path(named).is_absolute() or ".." in Path(named).parts

@@ -10,10 +10,13 @@ from typing import Any, NamedTuple
 
 from knotgym.common import InvalidInput, Stream
 from knotgym.rope import CHAIN, MUJOCO, EngineName
+from knotgym.topology import GaussCode, Symmetry, canonical
 
 STATE_SPLITS = ("train", "test")
 # parts of "train" and "test" without a common diagram, see `States.rows`
 CODE_SPLITS = ("train-code", "test-code")
+# splits of pictures: test-code has held-out codes, test-nx a held-out crossing number
+IMAGE_SPLITS = (*STATE_SPLITS, "test-code", "test-nx")
 
 
 class Source(NamedTuple):
@@ -96,3 +99,15 @@ def source_of(name: str) -> Source:
     if name not in SOURCES:
         raise InvalidInput(f"source must be one of {', '.join(SOURCES)}, got {name!r}")
     return SOURCES[name]
+
+
+def held_form(code: str, *, marked: bool) -> str:
+    """Return what a split of pictures by code compares, in place of a Gauss code.
+
+    Args:
+        code: without chirality.
+        marked: whether all pictures mark base and direction. If not, a picture fits every code of
+            its diagram, so these are one: `topology.canonical`, which also takes mirror images
+            and switched crossings for the same.
+    """
+    return code if marked else str(canonical(GaussCode.parse(code), Symmetry.DIAGRAM))

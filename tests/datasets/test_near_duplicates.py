@@ -9,13 +9,12 @@ from knotgym.states import (
     Spectra,
     distances,
     families,
-    keep_duplicates_together,
     nearest,
     pairs_within,
     read_states,
     shipped,
 )
-from knotgym.topology import GaussCode, Symmetry
+from knotgym.topology import Symmetry
 
 STATES = read_states(shipped(), images=False).points[40:70]
 
@@ -65,21 +64,14 @@ def test_no_distance_is_below_its_bound() -> None:
         assert (apart <= exact + 1e-6).all() and np.median(apart) > NEAR
 
 
-def test_pairs_are_found_once_and_families_are_kept_in_one_split() -> None:
-    points = np.concatenate([STATES[:4], [moved(STATES[1], 3)], [moved(STATES[1], 4)]])
-    assert [(i, j) for i, j, _ in pairs_within(points)] == [(1, 4), (1, 5), (4, 5)]
-    assert families(points).tolist() == [0, 1, 2, 3, 1, 1]
-    assigned = np.array(["train", "test", "test", "train", "train", "test"])
-    codes = [GaussCode()] * 3 + [GaussCode.parse("1+,1-")] * 3
-    # the family goes to one split; of the others as many move as keep the sizes, if the nx allows
-    dealt = keep_duplicates_together(assigned, points, [GaussCode()] * 6)
-    assert len(set(dealt[[1, 4, 5]])) == 1 and np.count_nonzero(dealt == "train") == 3
-    dealt = keep_duplicates_together(assigned, points, codes)
-    assert len(set(dealt[[1, 4, 5]])) == 1 and dealt[0] == dealt[2] != dealt[1]
-
-
 def test_no_shipped_test_state_is_near_a_train_state() -> None:
     for name in ("readable", "random-walk", "hard-unknots"):
         states = read_states(shipped(name), images=False)
         train, test = states.points[states.split == "train"], states.points[states.split == "test"]
         assert pairs_within(test, train, NEAR) == []
+
+
+def test_pairs_are_found_once_and_families_are_numbered() -> None:
+    points = np.concatenate([STATES[:4], [moved(STATES[1], 3)], [moved(STATES[1], 4)]])
+    assert [(i, j) for i, j, _ in pairs_within(points)] == [(1, 4), (1, 5), (4, 5)]
+    assert families(points).tolist() == [0, 1, 2, 3, 1, 1]

@@ -23,7 +23,7 @@ from knotgym.generate.states.state_rows import Selection, judge
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope import Rope
 from knotgym.runs import Result, RunOptions, Shard, compute
-from knotgym.states import SOURCES, Source, States, pairs_within, read_states
+from knotgym.states import SOURCES, States, pairs_within, read_states
 from knotgym.topology import GaussCode, label
 
 ALONE = RunOptions(workers=1, quiet=True)
@@ -63,11 +63,10 @@ def shaken_rows(config: GenerateConfig, report: dict[str, Any], apart_from: Any)
 
 
 def test_a_source_is_a_record(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    shaken = Source(
-        "drawn and shaken.",
-        Stream.DRAWING,
-        shaken_rows,
-        lambda config, rows: np.full(rows.rows, "train"),
+    shaken = SOURCES["drawing"]._replace(
+        doc="drawn and shaken.",
+        rows=shaken_rows,
+        splits=lambda config, rows: np.full(rows.rows, "train"),
         engine="chain",
     )
     monkeypatch.setitem(SOURCES, "shaken", shaken)

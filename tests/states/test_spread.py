@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 from knotgym.datasets import locate, summary
 from knotgym.rope import Rope
-from knotgym.states.near_duplicates import distances
-from knotgym.states.spread import (
+from knotgym.states.near_duplicates import (
     _bare_stretch,
     _shape_distances,
     _visit_distance,
+    distances,
     spread_of,
 )
 from knotgym.states.state_file import read_states

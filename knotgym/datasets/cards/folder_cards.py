@@ -30,10 +30,8 @@ from knotgym.states import (
     IMAGE_SPLITS,
     STATE_SPLITS,
     States,
-    overlap,
     read_states,
     source_of,
-    spread_of,
 )
 from knotgym.topology import GaussCode
 
@@ -171,13 +169,13 @@ def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object,
 
 
 def _overlap(states: States, nx: int) -> tuple[object, ...]:
-    found = overlap(states, nx)
+    found = states.overlap(nx)
     near = "-" if found["nearest"] is None else f"{1000 * found['nearest']:.1f}"
     return nx, found["test_states"], found["code_in_train"], found["diagram_in_train"], near
 
 
 def _spread(states: States, nx: int) -> tuple[object, ...]:
-    found = spread_of(states.points[states.nx == nx])
+    found = states.spread(nx)
     lengths = (found[name] or () for name in ("distance", "shape", "gyration", "height"))
     beads = (found[name] for name in ("visits", "bare"))
     return (

@@ -32,7 +32,7 @@ from knotgym.generate.states.state_rows import (
 from knotgym.quality import measure
 from knotgym.rope import Array, Simulation, simulation_of
 from knotgym.runs import Call, Recipe, Result
-from knotgym.states import STATE_SPLITS, keep_duplicates_together, split
+from knotgym.states import STATE_SPLITS, families
 from knotgym.topology import (
     LISTED_NX,
     UNKNOT,
@@ -120,7 +120,7 @@ class WantedCodes:
 
 # The first drawings of a code must differ from all other states under every symmetry. Codes that a
 # symmetry maps to each other have similar drawings, so later ones need only differ as they lie;
-# `splits.keep_duplicates_together` then puts such states into one split.
+# `keep_duplicates_together` then puts such states into one split.
 UNLIKE_DRAWINGS = 3
 
 # Calls at once, at least, so that few workers wait for the last one. It doesn't depend on how many
@@ -250,6 +250,63 @@ def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
         rng = Stream.SPLIT.generator(config.seed, nx)
         assigned[own] = split([codes[row] for row in own], config.train_share, rng)
     return keep_duplicates_together(assigned, rows["points"], codes)
+
+
+def split(
+    codes: Sequence[GaussCode], train_share: float, rng: np.random.Generator
+) -> NDArray[np.str_]:
+    """Assign states to "train" and "test", splitting the states of each code as evenly as possible.
+
+    Args:
+        codes: codes of the states, compared without chirality.
+        train_share: fraction of the states that go to train.
+        rng: generator of all random choices.
+
+    Returns:
+        str (n,), the split of each state.
+    """
+    plain = [code.plain for code in codes]
+    kinds = sorted(set(plain), key=lambda code: code.visits)
+    order = rng.permutation(len(kinds))
+    assigned = np.full(len(codes), "test", dtype="<U5")
+    # Order all states code by code, with codes and the states of each code shuffled. State i goes
+    # to train where floor(i * share + 1/2) steps up: every stretch is split in the same proportion.
+    walk = [
+        index
+        for k in order
+        for index in rng.permutation([i for i, code in enumerate(plain) if code == kinds[k]])
+    ]
+    trained_by = np.floor(np.arange(len(walk) + 1) * train_share + 0.5)
+    assigned[np.array(walk, dtype=np.int64)[np.diff(trained_by) > 0]] = "train"
+    return assigned
+
+
+def keep_duplicates_together(
+    assigned: NDArray[np.str_], points: NDArray[np.float64], codes: Sequence[GaussCode]
+) -> NDArray[np.str_]:
+    """Give near-duplicates one split, and keep the sizes of splits where that is possible.
+
+    Families of near-duplicates are assigned first, the largest first, each to the split with the
+    most room for it. Of the other states those move that their own split has no room for.
+
+    Args:
+        assigned: str (n,), the split of each state.
+        points: float64 (n, beads, 3), metres.
+        codes: of the states; sizes are kept for each number of crossings.
+    """
+    changed, family = assigned.copy(), families(points)
+    nx = [code.nx for code in codes]
+    # room: states that each split of each nx may still take
+    room = Counter(zip(nx, assigned.tolist(), strict=True))
+    members = [np.flatnonzero(family == one).tolist() for one in np.unique(family)]
+    for rows in sorted(members, key=len, reverse=True):  # stable: equal sizes stay in order
+        own = str(assigned[rows[0]])
+        names = sorted(set(assigned.tolist()), key=lambda name: name != own)  # own wins a tie
+        enough = len(assigned) if len(rows) > 1 else 1
+        fitting = {name: sum(min(room[nx[row], name], enough) for row in rows) for name in names}
+        changed[rows] = max(names, key=lambda name: fitting[name])
+        room.subtract((nx[row], str(changed[row])) for row in rows)
+    return changed
 
 
 def _named(order: _Order) -> str:

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.states import split
+from knotgym.generate.states.drawing_source import keep_duplicates_together, split
+from knotgym.states import read_states
 from knotgym.topology import GaussCode, codes_of
 
 EIGHT = list(codes_of("0_1", 2))
@@ -35,3 +36,15 @@ def test_the_train_share_of_each_code_is_met_within_one_state(
 def test_codes_with_chirality_are_split_as_the_code_they_show() -> None:
     both = [GaussCode((1, -1), "a"), GaussCode((1, -1), "c")] * 4
     assert Counter(split(both, 0.5, np.random.default_rng(0))) == {"train": 4, "test": 4}
+
+
+def test_near_duplicates_are_kept_in_one_split() -> None:
+    some = read_states(images=False).points[40:44]
+    points = np.concatenate([some, some[[1, 1]] + 0.01])
+    assigned = np.array(["train", "test", "test", "train", "train", "test"])
+    codes = [GaussCode()] * 3 + [GaussCode.parse("1+,1-")] * 3
+    # the family goes to one split; of the others as many move as keep the sizes, if the nx allows
+    dealt = keep_duplicates_together(assigned, points, [GaussCode()] * 6)
+    assert len(set(dealt[[1, 4, 5]])) == 1 and np.count_nonzero(dealt == "train") == 3
+    dealt = keep_duplicates_together(assigned, points, codes)
+    assert len(set(dealt[[1, 4, 5]])) == 1 and dealt[0] == dealt[2] != dealt[1]
