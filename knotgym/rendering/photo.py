@@ -54,7 +54,7 @@ class PhotoDrawer(Drawer):
     look, struct = Photo, "photo"
 
     def camera(self, config: AppearanceConfig, rng: np.random.Generator) -> tuple[float, float]:
-        return drawn_camera(rng, config.tilt)
+        return _drawn_camera(rng, config.tilt)
 
     def seen(self, points: Array, camera: tuple[float, float]) -> Array:
         return tilted(points, *camera)
@@ -77,10 +77,10 @@ class PhotoDrawer(Drawer):
         return _with_answers(_drawn_photo(points, size, rng, *camera, marked=marked))
 
     def for_episode(self, points: Array, size: int, goal: int) -> Photo:
-        return episode_look(points, size, goal)
+        return _episode_look(points, size, goal)
 
     def legible(self, points: Array, size: int) -> bool:
-        return clearest(points, size).legible
+        return _clearest(points, size).legible
 
 
 def _with_answers(shot: Shot) -> Drawn:
@@ -130,7 +130,7 @@ def photograph(
     """
     for _ in range(_TRIES):
         # from many directions strands touch or fold, whatever the appearance; then another is tried
-        lean, heading = drawn_camera(rng, tilt)
+        lean, heading = _drawn_camera(rng, tilt)
         seen = PhotoRope(tilted(points, lean, heading), size)
         shot = _drawn(seen, size, rng, lean, heading, marked)
         if shot is not None:
@@ -141,7 +141,7 @@ def photograph(
 def _drawn_photo(
     points: Array, size: int, rng: np.random.Generator, tilt: float, heading: float, *, marked: bool
 ) -> Shot:
-    """Draw a photo of points in the camera's axes that `clearest` shows to be legible.
+    """Draw a photo of points in the camera's axes that `_clearest` shows to be legible.
 
     Args:
         tilt, heading: of the camera, degrees.
@@ -154,10 +154,10 @@ def _drawn_photo(
         shot = _drawn(rope, size, rng, tilt, heading, wanted)
         if shot is not None:
             return shot
-    return clearest(points, size, tilt, heading)
+    return _clearest(points, size, tilt, heading)
 
 
-def clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0) -> Shot:
+def _clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0) -> Shot:
     """Take the plainest photo: a narrow white rope on a dark surface, as large as the picture."""
     rope = PhotoRope(points, size)
     look = _framed(rope, size, 0.0, 1.0, np.zeros(2), tilt, heading)
@@ -166,7 +166,7 @@ def clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0) 
     return take(points, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
 
 
-def drawn_camera(rng: np.random.Generator, tilt: float = TILT) -> tuple[float, float]:
+def _drawn_camera(rng: np.random.Generator, tilt: float = TILT) -> tuple[float, float]:
     """Draw tilt and heading, degrees, evenly over the directions up to a tilt."""
     # the area of a cap is proportional to its height (Archimedes), so an even cosine is an even
     # direction
@@ -202,7 +202,7 @@ def take(points: Array, look: Photo) -> Shot:
     return replace(shot, image=exposed(shot.image, look))
 
 
-def episode_look(points: Array, size: int, number: int) -> Photo:
+def _episode_look(points: Array, size: int, number: int) -> Photo:
     """Draw an appearance in which every state of an episode can be shown.
 
     The camera is vertical and tape marks the base, so that picture and code agree. The scale is

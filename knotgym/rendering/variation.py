@@ -142,7 +142,7 @@ class Drawer:
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
         """Draw a rope: uint8 (size, size, 3), RGB; the same arguments give the same bytes."""
         colours = look.bead_colours(len(points))
-        return through_lens(draw(points, look.picture(), colours=colours), look)
+        return _through_lens(draw(points, look.picture(), colours=colours), look)
 
     def drawn(self, points: Array, look: Any) -> Drawn:
         """Draw a picture of a table again from its appearance."""
@@ -250,7 +250,7 @@ class LineDrawer(Drawer):
     colours = "single"
 
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
-        return through_lens(draw_lines(points, look.picture()), look)
+        return _through_lens(draw_lines(points, look.picture()), look)
 
     def framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
         zoom = _largest_zoom(points, turn, width)
@@ -266,7 +266,7 @@ class LineDrawer(Drawer):
         return half / (plain.rope_radius * plain.pixels_per_metre)
 
 
-def through_lens(image: NDArray[np.uint8], look: Appearance) -> NDArray[np.uint8]:
+def _through_lens(image: NDArray[np.uint8], look: Appearance) -> NDArray[np.uint8]:
     """Return a picture with the blur and the noise of its appearance."""
     # the lens before the sensor: noise isn't blurred
     if look.blur > 0:

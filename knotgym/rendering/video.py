@@ -87,7 +87,7 @@ def film_frame(
     Returns:
         uint8 (height, width, 3), RGB, 768 pixels wide.
     """
-    metres = side or film_side([points, goal], views)
+    metres = side or _film_side([points, goal], views)
     halves = [
         np.concatenate([draw_diagram(rope, _WIDTH, side=metres, view=view, pull=arrow)
                         for view in views])
@@ -101,7 +101,7 @@ def film_frame(
     return frame
 
 
-def film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
+def _film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
     """Return the side, metres, in which every rope with its arrow fits in every view."""
     return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
 
@@ -145,7 +145,7 @@ class Film:
             reached: for each state, whether it reaches the goal.
             views: as in `film_frame`.
         """
-        side, last = film_side([*ropes, goal], views), len(ropes) - 1
+        side, last = _film_side([*ropes, goal], views), len(ropes) - 1
         shown = [
             film_frame(
                 rope,
@@ -233,7 +233,7 @@ class PictureWindow:
             horizon: length of the episode.
             outcome, views: as in `film_frame`.
         """
-        needed = film_side([points, goal], views)
+        needed = _film_side([points, goal], views)
         self._side = max(needed, self._side if step else 0.0)
         heading = f"step {step} of {horizon}"
         frame = film_frame(points, goal, heading, None, outcome, views, self._side)

@@ -99,20 +99,18 @@ class ActionView:
         """
         chosen = self.check(actions, ids)
         self.busy[ids], self.pulls[ids] = True, 0
-        if self.name != "macro":
-            self._actions[ids] = chosen
+        if self.name == "macro":
+            # an agent's 0 and 1 become the side -1 and +1 of `macro_actions.Pass`
+            self.macros[ids] = chosen * (1, 1, 2) - (0, 0, 1)
+            self._controller.begin_passes(ids, self.macros[ids], self._simulation.points)
+            return
+        self._actions[ids] = chosen
         if self.name == "decision":
             points = self._simulation.points[ids]
             places = points.mean(axis=1) + NEAR * chosen[:, :3]
             self._actions[ids, 0] = nearest_beads(points, places)
             made = chosen[:, 4 + 3 * LONGEST :] > 0  # the pulls after the first
             self._lengths[ids] = 1 + made.cumprod(axis=1).sum(axis=1)
-        if self.name != "macro":
-            return
-        self.macros[ids] = chosen
-        # an agent's 0 and 1 become the side -1 and +1 of `macro_actions.Pass`
-        self.macros[ids, 2] = 2 * self.macros[ids, 2] - 1
-        self._controller.begin_passes(ids, self.macros[ids], self._simulation.points)
 
     def pulls_of(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Return the next pull of each of the ropes `ids`, which are busy.

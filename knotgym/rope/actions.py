@@ -1,4 +1,4 @@
-"""Conversion between actions (x, y, z, fx, fy, fz) in [-1, 1] and beads with forces.
+"""Actions (x, y, z, fx, fy, fz) in [-1, 1], and the other forms that they have.
 
 An action pulls the bead nearest to the point (x, y, z), given in units of `RopeConfig.reach`, with
 the force (fx, fy, fz), given in units of `RopeConfig.max_force`.
@@ -23,16 +23,13 @@ the bound.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Stream
-
-if TYPE_CHECKING:
-    from knotgym.rope.model import RopeConfig  # not at run time, so that loaders need no simulator
 
 Array = NDArray[np.float64]
 
@@ -51,23 +48,6 @@ DECISION = 3 + 4 * LONGEST  # numbers of a decision
 CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
 
 
-def decode_actions(
-    actions: ArrayLike, points: Array, rope: RopeConfig
-) -> tuple[NDArray[np.int64], Array]:
-    """Convert actions to beads and forces.
-
-    Args:
-        actions: (n, 6), in [-1, 1].
-        points: float64 (n, beads, 3), metres: each rope's vertices when the action is taken.
-        rope: supplies `reach` and `max_force`.
-
-    Returns:
-        beads int64 (n,); forces float64 (n, 3), newtons.
-    """
-    a = np.asarray(actions, dtype=np.float64)
-    return nearest_beads(points, rope.reach * a[:, :3]), rope.max_force * a[:, 3:]
-
-
 def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
     """Find the vertex of each rope (n, beads, 3) nearest to its position (n, 3): int64 (n,).
 
@@ -77,26 +57,6 @@ def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
     # NumPy's sums over an axis of three take four times as long.
     squares = [(points[..., axis] - positions[:, axis, None]) ** 2 for axis in range(3)]
     return np.argmin(squares[0] + squares[1] + squares[2], axis=1)
-
-
-def encode_actions(
-    beads: ArrayLike, forces: ArrayLike, points: Array, rope: RopeConfig
-) -> NDArray[np.float32]:
-    """Convert beads and forces to actions; the inverse of `decode_actions`.
-
-    Args:
-        beads: int (n,).
-        forces: (n, 3), newtons; components are clipped to `max_force`.
-        points, rope: as in `decode_actions`.
-
-    Returns:
-        float32 (n, 6).
-    """
-    # The bead's own position names it best: no other bead is nearer to it. In float32 it is off by
-    # 1e-7 of `reach`, far less than beads are apart.
-    position = points[np.arange(len(points)), np.asarray(beads)] / rope.reach
-    force = np.asarray(forces, dtype=np.float64) / rope.max_force
-    return np.clip(np.concatenate([position, force], axis=1), -1, 1).astype(np.float32)
 
 
 def quantized(forces: ArrayLike) -> Array:

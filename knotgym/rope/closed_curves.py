@@ -34,7 +34,7 @@ _GAP = 1e-6  # metres; what is closed at all is closed within 1e-12
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
-def close_loops(along: Array) -> None:
+def _close_loops(along: Array) -> None:
     """Change the unit vectors of many chains (n, beads, 3) as little as possible, in place.
 
     Those of each chain then sum to zero, so that equal chords in these directions are closed. A
@@ -110,12 +110,19 @@ def _add_solution(m: Array, shift: Array) -> None:
     shift[2] += z
 
 
+def directions(points: Array) -> Array:
+    """Return the unit vectors along the edges of closed curves (n, beads, 3)."""
+    edges = np.roll(points, -1, axis=1) - points
+    unit: Array = edges / np.linalg.norm(edges, axis=2, keepdims=True)
+    return unit
+
+
 def equal_chords(curve: Array, count: int) -> Array:
     """Cut a closed polyline into a closed chain of `count` chords of length 1.
 
     The cuts move along the polyline until the chords are nearly equal; this fails only where the
     polyline doubles back within a chord. The chords are then scaled to length 1, and a correction
-    of their directions closes the chain (`close_loops`).
+    of their directions closes the chain (`_close_loops`).
 
     Returns:
         float64 (count, 3), centred.
@@ -135,7 +142,7 @@ def equal_chords(curve: Array, count: int) -> Array:
     chord = np.diff(points, axis=0)
     lengths = np.linalg.norm(chord, axis=1, keepdims=True)
     along = chord / np.maximum(lengths, np.finfo(float).tiny)
-    close_loops(along[None])
+    _close_loops(along[None])
     ends = np.cumsum(along, axis=0)
     return np.roll(ends, 1, axis=0) - ends.mean(axis=0)
 
@@ -321,7 +328,7 @@ def start_qpos(
         moved = noised(writable[left], reduced, [rngs[row] for row in left])
         # much noise may leave a rope that no small correction closes
         # The chords are equal and their directions sum to 0, so the closing chord has a bead's
-        # length unless Newton's method in `close_loops` didn't converge.
+        # length unless Newton's method in `_close_loops` didn't converge.
         gaps = np.linalg.norm(moved[:, 0] - moved[:, -1], axis=1) - rope.config.bead_length
         closed = np.abs(gaps) < _GAP
         moved[~closed] = writable[left][~closed]
@@ -341,7 +348,7 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     Each joint turns by a rotation vector drawn uniformly from [-scale, scale]^3 radians; their sum
     round the loop is subtracted evenly, so that the directions match where the loop closes. The
     whole rope turns by one more such vector and shifts by a vector from [-scale, scale]^3 metres.
-    The smallest correction of the bead directions then closes the rope (`close_loops`).
+    The smallest correction of the bead directions then closes the rope (`_close_loops`).
 
     Args:
         points: float64 (n, beads, 3), metres; not modified.
@@ -366,7 +373,7 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     # The mean rotation is the whole rope's; take it out, so that `turn` alone decides it.
     turns += turn - turns.mean(axis=1, keepdims=True)
     along = np.ascontiguousarray(_rotate(chord / lengths, turns))
-    close_loops(along)
+    _close_loops(along)
     moved = np.zeros_like(p)
     np.cumsum(along[:, :-1], axis=1, out=moved[:, 1:])
     moved *= np.median(lengths, axis=1, keepdims=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Threads
-from knotgym.rope.actions import ROUNDING, decode_actions, encode_actions
+from knotgym.rope.actions import ROUNDING, nearest_beads
 from knotgym.rope.model import Array, Rope, RopeConfig
 
 Ids = Sequence[int] | NDArray[np.int64] | None
@@ -144,20 +144,33 @@ class Simulation(ABC):
             raise InvalidInput(f"an action's numbers must be in [-1, 1], got {a[bad][0].tolist()}")
         # Actions of float32 may be beyond 1 by their rounding. Clipping keeps the largest force the
         # largest, so a replay of stored actions applies what was applied.
-        clipped, beads = np.clip(a, -1.0, 1.0), np.empty(len(where), dtype=np.int64)
-        forces = np.empty((len(where), 3))
+        clipped, config = np.clip(a, -1.0, 1.0), self.rope.config
+        beads = np.empty(len(where), dtype=np.int64)
 
-        def read(rows: slice) -> None:
-            points, config = self.points[where[rows]], self.rope.config
-            beads[rows], forces[rows] = decode_actions(clipped[rows], points, config)
+        def _read(rows: slice) -> None:
+            positions = config.reach * clipped[rows, :3]
+            beads[rows] = nearest_beads(self.points[where[rows]], positions)
 
         # shared among the threads, as everything is that grows with the number of ropes
-        self.threads.spread(read, len(where))
-        return beads, forces
+        self.threads.spread(_read, len(where))
+        return beads, config.max_force * clipped[:, 3:]
 
     def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:
-        """Return actions float32 (len(ids), 6) that `act` decodes to these beads and forces (N)."""
-        return encode_actions(beads, forces, self.points[self._all(ids)], self.rope.config)
+        """Return actions that `act` decodes to these beads and forces; its inverse.
+
+        Args:
+            beads: int (len(ids),).
+            forces: (len(ids), 3), newtons; components are clipped to the largest force.
+            ids: the ropes, in increasing order; None for all.
+
+        Returns:
+            float32 (len(ids), 6).
+        """
+        # The bead's own position names it best: no other bead is nearer to it. In float32 it is off
+        # by 1e-7 of `reach`, far less than beads are apart.
+        position = self.points[self._all(ids), np.asarray(beads)] / self.rope.config.reach
+        force = np.asarray(forces, dtype=np.float64) / self.max_force
+        return np.clip(np.concatenate([position, force], axis=1), -1, 1).astype(np.float32)
 
     def _all(self, ids: Ids) -> NDArray[np.int64]:
         return np.arange(self.count) if ids is None else np.asarray(ids, dtype=np.int64)

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from knotgym.common import InvalidInput, configuration, inner
-from knotgym.rope.closed_curves import clearance, equal_chords, require_embedded
+from knotgym.rope.closed_curves import clearance, directions, equal_chords, require_embedded
 from knotgym.topology import same_spot
 
 Array = NDArray[np.float64]
@@ -163,16 +163,13 @@ class Rope:
         beads = self.config.beads
         self.bodies = np.array([self.model.body(f"bead{i}").id for i in range(beads)])
         bead_of = {int(body): bead for bead, body in enumerate(self.bodies)}
-        # MuJoCo numbers a parent's body before its children's
-        order = sorted(range(beads), key=lambda bead: self.bodies[bead])
-        joints = self.model.body_jntadr[self.bodies]
-        self._order = np.array(order)
-        self._parent = np.array(
-            [bead_of.get(int(self.model.body_parentid[body]), -1) for body in self.bodies]
+        parents = self.model.body_parentid[self.bodies].tolist()
+        self._trees = (
+            np.argsort(self.bodies),  # MuJoCo numbers a parent's body before its children's
+            np.array([bead_of.get(parent, -1) for parent in parents]),
+            self.model.jnt_qposadr[self.model.body_jntadr[self.bodies]].astype(np.int64),
+            self.model.body_quat[self.bodies].copy(),
         )
-        self._qpos_at = self.model.jnt_qposadr[joints].astype(np.int64)
-        # orientation relative to the parent at zero joint angle
-        self._rest = self.model.body_quat[self.bodies].copy()
         # Chords between two sub-chains may have any length up to the gap that closures leave.
         self._next_in_chain = np.ones(beads, dtype=bool)
         self._next_in_chain[[last for _, last in self.config.chains]] = False
@@ -206,16 +203,7 @@ class Rope:
         q = np.require(qpos, np.float64, ["C", "W"])
         rows = q.reshape(-1, self.nq)
         points, gaps = np.empty((len(rows), self.config.beads, 3)), np.empty(len(rows))
-        _forward(
-            rows,
-            self._order,
-            self._parent,
-            self._qpos_at,
-            self._rest,
-            self.config.bead_length,
-            points,
-            gaps,
-        )
+        _forward(rows, *self._trees, self.config.bead_length, points, gaps)
         return points.reshape(*q.shape[:-1], self.config.beads, 3), gaps.reshape(q.shape[:-1])
 
     def qpos(self, points: ArrayLike) -> Array:
@@ -230,9 +218,7 @@ class Rope:
         """
         p = np.ascontiguousarray(points, dtype=np.float64)
         rows = p.reshape(-1, *p.shape[-2:])
-        along = np.roll(rows, -1, axis=1) - rows
-        along /= np.linalg.norm(along, axis=2, keepdims=True)
-        qpos = self.turned_qpos(rows, _transported(along, self._order, self._parent))
+        qpos = self.turned_qpos(rows, _transported(directions(rows), *self._trees[:2]))
         return qpos.reshape(*p.shape[:-2], self.nq)
 
     def turned_qpos(self, points: Array, world: Array) -> Array:
@@ -246,8 +232,7 @@ class Rope:
             float64 (n, nq).
         """
         qpos = np.empty((len(points), self.nq))
-        trees = self._order, self._parent, self._qpos_at, self._rest
-        _backward(np.ascontiguousarray(points), world, *trees, qpos)
+        _backward(np.ascontiguousarray(points), world, *self._trees, qpos)
         return qpos
 
     def least_clearance(self, points: Array) -> float:
@@ -362,7 +347,7 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
     radius = length / (2 * np.sin(np.pi / config.beads))
     joint = {"type": mujoco.mjtJoint.mjJNT_BALL, "damping": [config.joint_damping, 0.0, 0.0]}
 
-    def add_bead(parent: mujoco.MjsBody, bead: int, pos: list[float], angle: float) -> Any:
+    def _add_bead(parent: mujoco.MjsBody, bead: int, pos: list[float], angle: float) -> Any:
         quat = [np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
         body = parent.add_body(name=f"bead{bead}", pos=pos, quat=quat)
         body.add_geom(
@@ -382,17 +367,17 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
     # The root in the middle (published: at the start) halves the longest lever from root to end,
     # and with it the errors that add up on the way. MuJoCo integrates joint angles, which differ
     # between the two, so that beads end up millimetres apart after an action.
-    free = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
+    free = _add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
     free.add_freejoint()
     body = free
     for bead in range(root + 1, last + 1):
-        body = add_bead(body, bead, [length, 0.0, 0.0], turn)
+        body = _add_bead(body, bead, [length, 0.0, 0.0], turn)
         body.add_joint(**joint)
     # Before the root, the joint is at the bead's own end, which is the start of its parent. In the
     # parent's frame the bead's start lies one length back along its direction, (cos, -sin) of turn.
     body, back = free, [-length * np.cos(turn), length * np.sin(turn), 0.0]
     for bead in range(root - 1, first - 1, -1):
-        body = add_bead(body, bead, back, -turn)
+        body = _add_bead(body, bead, back, -turn)
         body.add_joint(**joint, pos=[length, 0.0, 0.0])
 
 

@@ -17,14 +17,8 @@ from knotgym.rope.interface import Ids, Simulation
 from knotgym.rope.model import Array, Rope
 
 # MuJoCo's own three signs of a simulation that diverged, each counted per rope.
-_BLOWN_UP = [
-    int(w.value)
-    for w in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
+_BAD = mujoco.mjtWarning
+_BLOWN_UP = [int(w.value) for w in (_BAD.mjWARN_BADQPOS, _BAD.mjWARN_BADQVEL, _BAD.mjWARN_BADQACC)]
 
 # Fractions of the force that a step is tried with, in this order, until the rope stays closed.
 # Halves; no record says what other steps would give, and recorded episodes were made with these.

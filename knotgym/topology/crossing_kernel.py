@@ -5,13 +5,13 @@ The search runs in five steps:
 0. `_distinct`: vertices on the spot of the one before are taken out, as edges without a length
    cross nothing; their neighbours would seem to cross each other.
 1. `_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
-   neighbouring edges rule out most pairs; four exact orientation tests (`side`) decide the rest.
+   neighbouring edges rule out most pairs; four exact orientation tests (`_side`) decide the rest.
 2. `_locate`: each hit h has two strands, strand 2 h on edge i and strand 2 h + 1 on edge j. Find
    where along its edge (fraction in [0, 1]) and at which height each strand passes the crossing.
 3. `_walk`: sort the strands by their position along the rope.
 4. `scan`: follow the walk, number the crossings in order of first visit, and compare heights.
 
-`side` tells exactly on which side of a line a point lies, and never that it lies on the line. The
+`_side` tells exactly on which side of a line a point lies, and never that it lies on the line. The
 sign of a 2 x 2 determinant is computed in floating point where an error bound guarantees it, and in
 exact expansion arithmetic otherwise (J. R. Shewchuk, "Adaptive Precision Floating-Point Arithmetic
 and Fast Robust Geometric Predicates", 1997). If the determinant is exactly zero, the tie is broken
@@ -256,16 +256,16 @@ def _hits(points: np.ndarray, most: int) -> np.ndarray:
 def _crosses(points: np.ndarray, i: int, j: int) -> int:
     """Return 0 if edges i and j don't cross, else the side of edge i on which edge j ends.
 
-    Two segments cross if each separates the end points of the other. `side` is never 0, so there
+    Two segments cross if each separates the end points of the other. `_side` is never 0, so there
     is no touching case.
     """
     beads = points.shape[0]
     i_end, j_end = (i + 1) % beads, (j + 1) % beads
     # the side of edge i on which edge j ends, and on which it begins: equal if j lies on one side
-    turn: int = side(points, i, i_end, j_end)
-    if side(points, i, i_end, j) == turn:
+    turn: int = _side(points, i, i_end, j_end)
+    if _side(points, i, i_end, j) == turn:
         return 0
-    if side(points, j, j_end, i) == side(points, j, j_end, i_end):
+    if _side(points, j, j_end, i) == _side(points, j, j_end, i_end):
         return 0
     return turn
 
@@ -342,7 +342,7 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
 
 
 @inner
-def side(points: np.ndarray, a: int, b: int, c: int) -> int:
+def _side(points: np.ndarray, a: int, b: int, c: int) -> int:
     """Return on which side bead c lies, seen along the line from bead a to bead b.
 
     Args:

@@ -254,31 +254,12 @@ def _cycles(permutation: list[int]) -> list[list[int]]:
     return cycles
 
 
-def _interlacement(visits: tuple[int, ...]) -> list[int]:
-    """Return, for each label (from 0), the labels that interlace it, as the bits of an int."""
-    interlaced = [0] * (len(visits) // 2)
-    open_since: list[int] = []  # labels visited once so far, in order
-    for visit in visits:
-        label = abs(visit) - 1
-        if label not in open_since:
-            open_since.append(label)
-            continue
-        # those that opened since and haven't closed alternate with this one
-        index = open_since.index(label)
-        for other in open_since[index + 1 :]:
-            interlaced[label] |= 1 << other
-            interlaced[other] |= 1 << label
-        del open_since[index]
-    return interlaced
-
-
-def _labels(bits: int) -> Iterator[int]:
-    """Yield the indices of the bits that are set."""
-    while bits:
-        # the lowest bit that is set
-        low = bits & -bits
-        yield low.bit_length() - 1
-        bits ^= low
+def _interlacement(positions: list[list[int]]) -> list[set[int]]:
+    """Return, for each label (from 0), the labels whose visits alternate with its own."""
+    return [
+        {other for other, (c, e) in enumerate(positions) if (a < c < b) != (a < e < b)}
+        for a, b in positions
+    ]
 
 
 def _walked(visits: tuple[int, ...]) -> tuple[list[int], list[int]]:
@@ -289,7 +270,8 @@ def _walked(visits: tuple[int, ...]) -> tuple[list[int], list[int]]:
         crossing turns left, and the parity rule of de Fraysseix and Ossona de Mendez fixes the
         others: these are a planar handedness of the visits if there is one.
     """
-    interlaced, positions = _interlacement(visits), _code_positions(visits)
+    positions = _code_positions(visits)
+    interlaced = _interlacement(positions)
     part, turns, number = [-1] * len(interlaced), [1] * len(interlaced), 0
     for label in range(len(interlaced)):
         if part[label] >= 0:
@@ -297,11 +279,11 @@ def _walked(visits: tuple[int, ...]) -> tuple[list[int], list[int]]:
         part[label], todo = number, [label]
         while todo:
             known = todo.pop()
-            for other in _labels(interlaced[known]):
+            for other in interlaced[known]:
                 if part[other] < 0:
                     part[other] = number
                     # common: how many crossings interlace both
-                    common = (interlaced[known] & interlaced[other]).bit_count()
+                    common = len(interlaced[known] & interlaced[other])
                     alike = (common + positions[known][0] + positions[other][0]) % 2 == 1
                     turns[other] = turns[known] if alike else -turns[known]
                     todo.append(other)

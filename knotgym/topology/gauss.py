@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 from knotgym.common import InvalidInput
 
+_ONCE = "expected once over (+) and once under (-)"
 _SWITCHED = str.maketrans("ac", "ca")
 _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
 
@@ -53,9 +54,8 @@ class GaussCode:
         _check_visits(self.visits)
         letters = self.chirality
         if letters is not None and (len(letters) != self.nx or letters.strip("ac")):
-            raise invalid_code(
-                "wrong chirality", letters, f"expected {self.nx} letters, each 'a' or 'c'"
-            )
+            expected = f"expected {self.nx} letters, each 'a' or 'c'"
+            raise invalid_code("wrong chirality", letters, expected)
 
     @classmethod
     def parse(cls, text: str) -> GaussCode:
@@ -75,28 +75,19 @@ class GaussCode:
         for word in text.split(","):
             visit = _VISIT.fullmatch(word)
             if visit is None:
-                raise invalid_code(
-                    f"cannot read the visit {word.strip()!r}",
-                    text,
-                    "a visit is a number, + or -, and optionally a or c",
-                )
+                expected = "a visit is a number, + or -, and optionally a or c"
+                raise invalid_code(f"cannot read the visit {word.strip()!r}", text, expected)
             label = int(visit[1])
             visits.append(label if visit[2] == "+" else -label)
             # both visits name the crossing's letter, "" if they have none
             if letters.setdefault(label, visit[3]) != visit[3]:
-                raise invalid_code(
-                    f"crossing {label} has two different letters",
-                    text,
-                    "both of its visits must have the same letter, or none",
-                )
+                expected = "both of its visits must have the same letter, or none"
+                raise invalid_code(f"crossing {label} has two different letters", text, expected)
         _check_visits(visits, text)
         chirality = "".join(letters[label] for label in range(1, len(letters) + 1))
         if chirality and len(chirality) != len(letters):
-            raise invalid_code(
-                "only some crossings have a letter",
-                text,
-                "either all visits must have a letter or none",
-            )
+            expected = "either all visits must have a letter or none"
+            raise invalid_code("only some crossings have a letter", text, expected)
         return cls(tuple(visits), chirality or None)
 
     @classmethod
@@ -216,15 +207,12 @@ class GaussCode:
 
     def _letters(self) -> str:
         if self.chirality is None:
-            raise invalid_code(
-                "its chirality is unknown", str(self), "give one letter per crossing, as '1+a,1-a'"
-            )
+            expected = "give one letter per crossing, as '1+a,1-a'"
+            raise invalid_code("its chirality is unknown", str(self), expected)
         return self.chirality
 
     def _flipped(self) -> str | None:
-        if self.chirality is None:
-            return None
-        return self.chirality.translate(_SWITCHED)
+        return None if self.chirality is None else self.chirality.translate(_SWITCHED)
 
     def of_visits(self, visits: tuple[int, ...]) -> GaussCode:
         """Make a code from this code's visits in another order, or from some of its crossings.
@@ -274,31 +262,21 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
     given = visits if given is None else given
     awaited: list[int] = []  # per label the visit still to come, 0 once it has come
     for visit in visits:
-        label = visit if visit > 0 else -visit
+        label = abs(visit)
         if label == len(awaited) + 1:
             awaited.append(-visit)
         elif not 0 < label <= len(awaited):
-            raise invalid_code(
-                f"label {label} comes too early",
-                given,
-                f"labels are in order of first visit, so the next one is {len(awaited) + 1}",
-            )
+            expected = f"labels are in order of first visit, so the next one is {len(awaited) + 1}"
+            raise invalid_code(f"label {label} comes too early", given, expected)
         elif awaited[label - 1] != visit:
-            raise invalid_code(
-                f"crossing {label} is visited twice on one strand, or too often",
-                given,
-                "expected once over (+) and once under (-)",
-            )
+            problem = f"crossing {label} is visited twice on one strand, or too often"
+            raise invalid_code(problem, given, _ONCE)
         else:
             awaited[label - 1] = 0
     if any(awaited):
         # the first crossing that still waits for its other visit
         label = next(index for index, visit in enumerate(awaited, 1) if visit)
-        raise invalid_code(
-            f"crossing {label} is visited only once",
-            given,
-            "expected once over (+) and once under (-)",
-        )
+        raise invalid_code(f"crossing {label} is visited only once", given, _ONCE)
 
 
 def invalid_code(problem: str, given: object, expected: str, kind: str = "Gauss") -> InvalidInput:

@@ -49,7 +49,7 @@ ALEXANDER_DECIDES = 10
 JONES_DECIDES = 24
 LISTED_NX = 6  # with more crossings there are too many codes for codes_of
 
-# Diagrams of at most 7 crossings are named by their Alexander polynomials alone, see `small_types`.
+# Diagrams of at most so many crossings are named by Alexander polynomials alone: `_small_types`.
 _SMALL = 7
 UNKNOT = "0_1"
 TABLED = 10  # all knots with at most this many crossings are in the table
@@ -92,7 +92,7 @@ def knot_type(code: GaussCode) -> str:
     names: list[str] = []
     for summand in summands(without_bigons(with_chirality(code))):
         # a diagram in the table is minimal, so don't search for a smaller one
-        own = table_type(summand) if summand.nx > _SMALL else None
+        own = _table_type(summand) if summand.nx > _SMALL else None
         if own:
             names.append(own)
         else:
@@ -100,7 +100,7 @@ def knot_type(code: GaussCode) -> str:
                 names.extend(_name(part).split("#"))
     if UNKNOWN in names:
         return UNKNOWN
-    return composite_type(names)
+    return _composite_type(names)
 
 
 def possible_types(code: GaussCode) -> list[str]:
@@ -109,7 +109,7 @@ def possible_types(code: GaussCode) -> list[str]:
     Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
     """
     parts = summands(simplify(without_bigons(with_chirality(code))))
-    return types_from_polynomials(parts[0]) if len(parts) == 1 else []
+    return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
 
 
 def shows(code: GaussCode, knot: str) -> bool:
@@ -171,17 +171,17 @@ def _name(summand: GaussCode) -> str:
     # No search for a minimal diagram: up to seven crossings the Alexander polynomials of all types
     # differ.
     if summand.nx <= _SMALL:
-        return small_types(_SMALL)[alexander_polynomial(summand)]
+        return _small_types(_SMALL)[alexander_polynomial(summand)]
     try:
         # The table's polynomials can't tell the unknot from knots beyond the table; the proof can.
-        types = [UNKNOT] if _is_trivial(summand) else types_from_polynomials(summand)
+        types = [UNKNOT] if _is_trivial(summand) else _types_from_polynomials(summand)
     except Failed:
         return UNKNOWN
     return types[0] if len(types) == 1 else UNKNOWN
 
 
 @lru_cache(maxsize=1)
-def prime_diagrams() -> dict[str, GaussCode]:
+def _prime_diagrams() -> dict[str, GaussCode]:
     """Return a minimal diagram with chirality of each of the 249 prime knots, by type."""
     table = json.loads((files("knotgym.topology") / "data" / "knots.json").read_text("utf-8"))
     return {name: GaussCode.parse(text) for name, text in table["diagrams"].items()}
@@ -200,7 +200,7 @@ def diagram_of(knot: str) -> GaussCode:
     codes = []
     for mirror, name in _summands(knot):
         if name != UNKNOT:
-            code = prime_diagrams()[name]
+            code = _prime_diagrams()[name]
             codes.append(code.switched() if mirror else code)
     return connected_sum(codes)
 
@@ -214,13 +214,13 @@ def type_of(knot: str) -> str:
     >>> type_of("m4_1#3_1")
     '3_1#4_1'
     """
-    return composite_type([name for _, name in _summands(knot)])
+    return _composite_type([name for _, name in _summands(knot)])
 
 
-def composite_type(types: list[str]) -> str:
+def _composite_type(types: list[str]) -> str:
     """Return the type of the connected sum of knots of these types.
 
-    >>> composite_type(["10_2", "0_1", "3_1"])
+    >>> _composite_type(["10_2", "0_1", "3_1"])
     '3_1#10_2'
     """
     proper = [name for name in types if name != UNKNOT]
@@ -238,7 +238,7 @@ def based_diagrams(code: GaussCode) -> list[GaussCode]:
     return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
 
 
-def table_type(code: GaussCode) -> str | None:
+def _table_type(code: GaussCode) -> str | None:
     """Return the type of a diagram that is in the table, up to the base point; None otherwise.
 
     Args:
@@ -251,7 +251,7 @@ def table_type(code: GaussCode) -> str | None:
     return _by_diagram().get(min(one.visits for one in based_diagrams(code)))
 
 
-def types_from_polynomials(code: GaussCode) -> list[str]:
+def _types_from_polynomials(code: GaussCode) -> list[str]:
     """List the types of the table that both polynomials and the crossing number leave possible.
 
     Args:
@@ -272,13 +272,13 @@ def types_from_polynomials(code: GaussCode) -> list[str]:
 
 
 @lru_cache(maxsize=1)
-def small_types(nx: int) -> dict[tuple[int, ...], str]:
+def _small_types(nx: int) -> dict[tuple[int, ...], str]:
     """Map Alexander polynomials to the types of at most nx crossings, composite ones included.
 
     Up to 7 crossings they are all different, and regardless of handedness.
     """
     sums = [names for names in _sums() if sum(_rank(name)[0] for name in names) <= nx]
-    diagrams = prime_diagrams()
+    diagrams = _prime_diagrams()
     return {(1,): UNKNOT} | {
         alexander_polynomial(connected_sum([diagrams[name] for name in names])): "#".join(names)
         for names in sums
@@ -290,7 +290,7 @@ def _by_diagram() -> dict[tuple[int, ...], str]:
     """Map the smallest visits over all base points, directions and sides to the type."""
     return {
         min(one.visits for one in based_diagrams(code)): name
-        for name, code in prime_diagrams().items()
+        for name, code in _prime_diagrams().items()
     }
 
 
@@ -302,7 +302,7 @@ def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
     """
     found: dict[Polynomials, dict[str, None]] = defaultdict(dict)
     for names in _sums():
-        diagrams = [prime_diagrams()[name] for name in names]
+        diagrams = [_prime_diagrams()[name] for name in names]
         # the Jones polynomial of a sum depends on the relative handedness of its summands
         # The first summand keeps its hand: mirroring all of them mirrors the sum, and the
         # polynomial is taken up to that.
@@ -311,13 +311,13 @@ def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
                 code.switched() if mirror else code
                 for code, mirror in zip(diagrams, (False, *mirrors), strict=True)
             ]
-            found[_polynomials(connected_sum(hands))][composite_type(list(names))] = None
+            found[_polynomials(connected_sum(hands))][_composite_type(list(names))] = None
     return {polynomials: tuple(types) for polynomials, types in found.items()}
 
 
 def _sums() -> Iterator[tuple[str, ...]]:
     """Yield the summands of every type in the table: prime ones first, then composite ones."""
-    names = list(prime_diagrams())
+    names = list(_prime_diagrams())
     yield from ((name,) for name in names)
     # a summand of a composite knot leaves room for another one of three crossings at least
     small = [name for name in names if _rank(name)[0] <= TABLED - 3]
@@ -338,7 +338,7 @@ def _summands(knot: str) -> list[tuple[bool, str]]:
     found = []
     for word in knot.split("#"):
         match = _SUMMAND.fullmatch(word)
-        if match is None or (match[2] != UNKNOT and match[2] not in prime_diagrams()):
+        if match is None or (match[2] != UNKNOT and match[2] not in _prime_diagrams()):
             raise InvalidInput(
                 f"no knot {knot!r}; there are 0_1, the prime knots of up to {TABLED} crossings from"
                 " 3_1 to 10_165, mirror images (m3_1), and sums (3_1#4_1)"

@@ -80,16 +80,10 @@ def dt_code(code: GaussCode) -> list[int]:
     >>> dt_code(GaussCode.parse("1+,2-,3+,1-,4+,3-,2+,4-"))  # the figure-eight knot
     [4, 6, 8, 2]
     """
-    partners = [0] * code.nx
-    numbers: list[list[int]] = [[] for _ in range(code.nx)]
-    for number, visit in enumerate(code.visits, 1):
-        numbers[abs(visit) - 1].append(number)
-    for one, other in numbers:
-        # In a planar diagram the two visits of a crossing have an even number of visits between
-        # them, see `diagrams._words`, so one is odd and one even.
-        odd, even = (one, other) if one % 2 else (other, one)
-        partners[odd // 2] = even if code.visits[odd - 1] > 0 else -even
-    return partners
+    # In a planar diagram the two visits of a crossing have an even number of visits between them,
+    # see `diagrams._words`, so one is odd and one even.
+    number = {visit: number for number, visit in enumerate(code.visits, 1)}
+    return [number[-visit] * (1 if visit > 0 else -1) for visit in code.visits[::2]]
 
 
 def pd_text(code: GaussCode) -> str:
@@ -110,7 +104,7 @@ def dt_text(code: GaussCode) -> str:
     return json.dumps(dt_code(code))
 
 
-def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
+def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     """Return the Gauss code, with chirality, of a PD code.
 
     Args:
@@ -120,7 +114,7 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     Raises:
         InvalidInput: it isn't the PD code of a planar diagram of one oriented knot.
 
-    >>> from_pd([[1, 1, 2, 2]]).chiral
+    >>> _from_pd([[1, 1, 2, 2]]).chiral
     '1-c,1+c'
     """
     _require_size(len(crossings))
@@ -130,7 +124,8 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
             ends.setdefault(edge, []).append((crossing, corner))
     for edge, joined in ends.items():
         if len(joined) != 2:
-            raise _invalid(f"edge {edge} occurs {len(joined)} times", crossings, "PD", _TWICE)
+            expected = "every edge joins two corners, so it occurs twice"
+            raise _invalid(f"edge {edge} occurs {len(joined)} times", crossings, "PD", expected)
     walk: list[tuple[int, int]] = []  # edge that leads to the visit, signed crossing number
     letters: dict[int, str] = {}
     crossing, corner = 0, 0  # where the walk arrives: below, at a
@@ -138,12 +133,9 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
         # Corners are a 0, b 1, c 2, d 3. The walk arrives at one and leaves at the opposite one;
         # the lower strand may only be walked from a to c.
         if corner == 2:
-            raise _invalid(
-                f"the lower strand of crossing {crossing + 1} is walked backwards",
-                crossings,
-                "PD",
-                "the first edge of each crossing is the one by which the lower strand comes in",
-            )
+            problem = f"the lower strand of crossing {crossing + 1} is walked backwards"
+            expected = "the first edge of each crossing is where the lower strand comes in"
+            raise _invalid(problem, crossings, "PD", expected)
         walk.append((crossings[crossing][corner], (crossing + 1) * (1 if corner else -1)))
         if corner:
             # an upper strand that comes in at d runs to b, as the drawing of a positive crossing
@@ -154,36 +146,30 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
         one, other = ends[crossings[crossing][corner]]
         crossing, corner = other if one == (crossing, corner) else one
     if len(walk) < 2 * len(crossings):
-        raise _invalid(
-            f"one walk passes {len(walk)} of {2 * len(crossings)} visits",
-            crossings,
-            "PD",
-            "expected a knot, not a link of several components",
-        )
+        problem = f"one walk passes {len(walk)} of {2 * len(crossings)} visits"
+        expected = "expected a knot, not a link of several components"
+        raise _invalid(problem, crossings, "PD", expected)
     # the base point is on the edge of the lowest number, whatever the numbers are
     start = walk.index(min(walk)) if walk else 0
     visits = [visit for _, visit in walk[start:] + walk[:start]]
     return _planar(GaussCode.relabelled(visits, letters), crossings, "PD")
 
 
-def from_dt(partners: Sequence[int]) -> GaussCode:
+def _from_dt(partners: Sequence[int]) -> GaussCode:
     """Return the Gauss code of a DT code; its chirality is unknown, because DT doesn't have it.
 
     Raises:
         InvalidInput: it isn't the DT code of a planar diagram of one knot.
 
-    >>> str(from_dt([4, 6, 2]))
+    >>> str(_from_dt([4, 6, 2]))
     '1+,2-,3+,1-,2+,3-'
     """
     _require_size(len(partners))
     even = sorted(map(abs, partners))
     if even != [*range(2, 2 * len(partners) + 1, 2)]:
-        raise _invalid(
-            f"it doesn't pair {len(partners)} odd visits with as many even ones",
-            partners,
-            "DT",
-            f"expected the even numbers from 2 to {2 * len(partners)}, once each with either sign",
-        )
+        problem = f"it doesn't pair {len(partners)} odd visits with as many even ones"
+        expected = f"expected the even numbers from 2 to {2 * len(partners)}, once each, signed"
+        raise _invalid(problem, partners, "DT", expected)
     visits = [0] * (2 * len(partners))
     for label, partner in enumerate(partners, 1):
         # a negative partner is the upper one, so the odd visit is under there
@@ -255,12 +241,12 @@ def _read_crossings(tight: str, _: str) -> GaussCode | None:
     # four different numbers are a DT code as SnapPy writes it: [(4,6,8,2)]
     if len(numbers) == 4 and "X" not in tight and len(set(numbers)) == 4:
         return None
-    return from_pd([numbers[k : k + 4] for k in range(0, len(numbers), 4)])
+    return _from_pd([numbers[k : k + 4] for k in range(0, len(numbers), 4)])
 
 
 def _read_bare(tight: str, _: str) -> GaussCode:
     words = re.findall(_BARE, tight)
-    return from_pd([[*map(int, word[1:])] if word[1:].isdigit() else _numbers(word)
+    return _from_pd([[*map(int, word[1:])] if word[1:].isdigit() else _numbers(word)
                     for word in words])  # fmt: skip
 
 
@@ -268,14 +254,10 @@ def _read_numbers(tight: str, text: str) -> GaussCode:
     numbers = _numbers(tight)
     # each label occurs with both signs in a Gauss code, with one in a DT code
     if len(numbers) < 2 or sorted(numbers) != sorted(-number for number in numbers):
-        return from_dt(numbers)
+        return _from_dt(numbers)
     if "{" in text:
-        raise _invalid(
-            "whose signs they are isn't said",
-            text,
-            "Gauss",
-            "write KnotInfo:{...} for KnotInfo's, where + is under, or [...] for + over",
-        )
+        expected = "write KnotInfo:{...} for KnotInfo's, where + is under, or [...] for + over"
+        raise _invalid("whose signs they are isn't said", text, "Gauss", expected)
     return _from_signed(numbers)
 
 
@@ -286,7 +268,7 @@ def _read_letters(tight: str, text: str) -> GaussCode:
     if head != [len(letters) - 3, 1, len(letters) - 3]:
         expected = "expected such as DT[cacbca]"
         raise _invalid("it isn't that of one component", text, "DT", expected)
-    return from_dt([
+    return _from_dt([
         (ord(one.lower()) - 96) * (2 if one.islower() else -2) for one in letters[3:]
     ])  # fmt: skip
 
@@ -322,12 +304,8 @@ def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
     # signs at the end are those of crossings 1, 2, 3, ... in order of their labels, not of the walk
     labels = sorted({abs(number) for number in numbers})
     if signs and len(signs) != len(labels):
-        raise _invalid(
-            f"it has {len(labels)} crossings and {len(signs)} signs",
-            numbers,
-            "Gauss",
-            "give each crossing a sign, or none",
-        )
+        problem = f"it has {len(labels)} crossings and {len(signs)} signs"
+        raise _invalid(problem, numbers, "Gauss", "give each crossing a sign, or none")
     letters = {label: _LETTERS[sign] for label, sign in zip(labels, signs, strict=False)}
     code = GaussCode.relabelled(numbers, letters or None)
     return _planar(code, numbers, "Gauss")
@@ -339,27 +317,20 @@ def _from_over_under(text: str) -> GaussCode:
     if re.sub(r"[\s,;-]", "", _OVER_UNDER.sub("", text)):
         raise _invalid("it can't be read", text, "Gauss", "expected such as O1-U2-O3-U1-O2-U3-")
     _require_size(len(visits) // 2)
-    signs = [sign for _, _, sign in visits]
     # O1-U2-O3 parts visits by "-"; only where the last visit has a sign, too, are they signs
-    signed = bool(visits) and all(signs)
-    if "+" in signs and not signed:
-        raise _invalid(
-            "only some visits have a sign", text, "Gauss", "give every visit its crossing's sign"
-        )
+    signed = bool(visits) and all(sign for _, _, sign in visits)
+    if "+" in [sign for _, _, sign in visits] and not signed:
+        expected = "give every visit its crossing's sign"
+        raise _invalid("only some visits have a sign", text, "Gauss", expected)
     letters: dict[int, str] = {}
-    for (_, number, sign), _ in zip(visits, signs, strict=True) if signed else ():
+    for _, number, sign in visits if signed else ():
         if letters.setdefault(int(number), _LETTERS[sign]) != _LETTERS[sign]:
-            raise _invalid(
-                f"crossing {number} has two signs", text, "Gauss", "both visits have the same sign"
-            )
-    code = GaussCode.relabelled(
-        [int(number) if over in "Oo" else -int(number) for over, number, _ in visits],
-        letters or None,
-    )
-    return _planar(code, text, "Gauss")
+            problem, expected = f"crossing {number} has two signs", "both visits have the same sign"
+            raise _invalid(problem, text, "Gauss", expected)
+    numbers = [int(number) if over in "Oo" else -int(number) for over, number, _ in visits]
+    return _planar(GaussCode.relabelled(numbers, letters or None), text, "Gauss")
 
 
-_TWICE = "every edge joins two corners, so it occurs twice"
 _SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
 
 

@@ -191,7 +191,8 @@ def turned(qpos: Array, rope: Rope, turn: Array) -> Array:
     """Rotate qpos by a unit quaternion: positions and orientations of the free beads."""
     own = qpos.copy()
     w, r = turn[0], turn[1:]
-    for at in rope._qpos_at[rope._parent < 0]:
+    _, parents, qpos_at, _ = rope._trees
+    for at in qpos_at[parents < 0]:
         place, spin = qpos[at : at + 3], qpos[at + 3 : at + 7]
         own[at : at + 3] = place + 2 * np.cross(r, np.cross(r, place) + w * place)
         own[at + 3] = w * spin[0] - r @ spin[1:]

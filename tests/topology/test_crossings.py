@@ -25,8 +25,8 @@ from knotgym.topology.gauss import GaussCode
 
 @njit
 def side(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """Call `crossing_kernel.side`, which Python can't."""
-    return int(crossing_kernel.side(points, a, b, c))
+    """Call `crossing_kernel._side`, which Python can't."""
+    return int(crossing_kernel._side(points, a, b, c))
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> float:

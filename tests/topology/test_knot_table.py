@@ -9,11 +9,11 @@ import pytest
 from knotgym.common import InvalidInput
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import (
+    _prime_diagrams,
     _types_by_polynomials,
     based_diagrams,
     diagram_of,
     knot_type,
-    prime_diagrams,
     shows,
     type_of,
 )
@@ -24,32 +24,32 @@ INFO = json.loads((Path(__file__).parent / "knotinfo.json").read_text())["knots"
 
 
 def test_the_table_has_the_249_prime_knots_to_ten_crossings() -> None:
-    crossings = [code.nx for code in prime_diagrams().values()]
+    crossings = [code.nx for code in _prime_diagrams().values()]
     assert [crossings.count(nx) for nx in range(3, 11)] == [1, 1, 2, 3, 7, 21, 49, 165]
-    assert prime_diagrams().keys() == INFO.keys()
+    assert _prime_diagrams().keys() == INFO.keys()
 
 
 def test_every_diagram_has_the_alexander_polynomial_that_knotinfo_has() -> None:
-    for name, code in prime_diagrams().items():
+    for name, code in _prime_diagrams().items():
         sign = 1 if sum(INFO[name][2]) > 0 else -1
         assert list(alexander_polynomial(code)) == [sign * value for value in INFO[name][2]], name
 
 
 def test_every_diagram_has_the_jones_polynomial_that_knotinfo_has_hand_and_all() -> None:
-    for name, code in prime_diagrams().items():
+    for name, code in _prime_diagrams().items():
         lowest, values, _ = INFO[name]
         told = tuple((power, value) for power, value in enumerate(values, lowest) if value)
         assert jones_polynomial(code) == told, name
 
 
 def test_a_jones_polynomial_spans_as_many_powers_as_an_alternating_knot_has_crossings() -> None:
-    for name, code in prime_diagrams().items():
+    for name, code in _prime_diagrams().items():
         jones = jones_polynomial(code)
         assert (jones[-1][0] - jones[0][0] == code.nx) == is_alternating(code), name
 
 
 def test_every_diagram_is_named_as_itself_from_any_base_and_in_the_mirror() -> None:
-    for place, (name, code) in enumerate(prime_diagrams().items()):
+    for place, (name, code) in enumerate(_prime_diagrams().items()):
         seen = code.rebased(place).switched() if place % 2 else code.reversed().rebased(place)
         assert knot_type(seen) == name
 

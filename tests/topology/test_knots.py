@@ -12,15 +12,15 @@ from knotgym.common import InvalidInput
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import chiralities, faces, is_planar, planar_codes, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import diagram_of, is_unknot, knot_type, prime_diagrams, shows
-from knotgym.topology.notation import from_dt
+from knotgym.topology.knots import _prime_diagrams, diagram_of, is_unknot, knot_type, shows
+from knotgym.topology.notation import _from_dt
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.topology.reidemeister import connected_sum, simplify, without_bigons
 
 CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
 
-SMALL = [name for name in prime_diagrams() if int(name.split("_")[0]) <= 7]
+SMALL = [name for name in _prime_diagrams() if int(name.split("_")[0]) <= 7]
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -235,8 +235,8 @@ def test_codes_that_no_curve_shows_have_no_knot() -> None:
 @pytest.mark.parametrize(
     "knot",
     [
-        from_dt([4, 8, 12, 2, -16, -18, 6, -20, -22, -14, -10]),  # of Kinoshita and Terasaka
-        from_dt([4, 8, 12, 2, -18, -20, 6, -10, -22, -14, -16]),  # of Conway
+        _from_dt([4, 8, 12, 2, -16, -18, 6, -20, -22, -14, -10]),  # of Kinoshita and Terasaka
+        _from_dt([4, 8, 12, 2, -18, -20, 6, -10, -22, -14, -16]),  # of Conway
         pretzel(-3, 5, 7),
     ],
 )

@@ -18,12 +18,12 @@ from knotgym.topology import notation
 from knotgym.topology.crossings import label_many
 from knotgym.topology.diagrams import parts, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import diagram_of, is_unknot, knot_type, prime_diagrams
+from knotgym.topology.knots import _prime_diagrams, diagram_of, is_unknot, knot_type
 from knotgym.topology.notation import (
+    _from_dt,
+    _from_pd,
     dt_code,
     dt_text,
-    from_dt,
-    from_pd,
     parse_code,
     parse_codes,
     pd_code,
@@ -60,8 +60,8 @@ def test_every_code_of_up_to_four_crossings_comes_back() -> None:
 def test_larger_codes_come_back(nx: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     code = with_chirality(uniform_code(min(nx, 9), rng))
-    assert from_pd(rng.permutation(pd_code(code)).tolist()) == code
-    assert from_dt(dt_code(code)) == code.plain
+    assert _from_pd(rng.permutation(pd_code(code)).tolist()) == code
+    assert _from_dt(dt_code(code)) == code.plain
 
 
 def test_a_kink_is_told_from_its_mirror_images() -> None:
@@ -101,7 +101,7 @@ LEFT = TREFOIL.switched().plain  # a DT code has one sign for each number, and n
         *((text, LEFT) for text in ("DT[cacbca]", "DT: cacbca", "DT[cacbca.000]")),
         *((text, GaussCode()) for text in ("", "[]", "PD[]", "PD[Loop[1]]", "DT: []")),
         # four numbers are a DT code unless an edge repeats
-        ("[(4,6,8,2)]", from_dt([4, 6, 8, 2])),
+        ("[(4,6,8,2)]", _from_dt([4, 6, 8, 2])),
         ("[[1,1,2,2]]", GaussCode.parse(KINKS[3])),
     ],
 )
@@ -189,16 +189,16 @@ def require_same_abroad(code: GaussCode, knot: str) -> None:
     import spherogram
 
     link = spherogram.Link(pd_code(code))
-    written = from_pd(link.PD_code(min_strand_index=1)) if code.nx else GaussCode()
+    written = _from_pd(link.PD_code(min_strand_index=1)) if code.nx else GaussCode()
     # spherogram picks the base point of a diagram of one crossing itself
     assert written in ([code, code.rebased(1)] if code.nx == 1 else [code])
     assert link.writhe() == code.writhe and len(link) == code.nx
     if code.nx > 1:
-        assert from_dt([*link.DT_code()[0]]) == code.plain
+        assert _from_dt([*link.DT_code()[0]]) == code.plain
         # its own reader of DT codes fails at nugatory crossings, and may never return
         if without_nugatory(code):
             again = spherogram.Link(f"DT: [{tuple(dt_code(code))}]")
-            read = from_dt([*again.DT_code()[0]])  # at another base point, or switched
+            read = _from_dt([*again.DT_code()[0]])  # at another base point, or switched
             assert canonical(read, Symmetry.DIAGRAM) == canonical(code, Symmetry.DIAGRAM)
     link.simplify("basic")
     if link.crossings:
@@ -237,10 +237,10 @@ def test_spherogram_reads_and_writes_the_codes_of_random_ropes() -> None:
 def test_the_249_knots_are_those_of_knotinfo() -> None:
     rows = pytest.importorskip("database_knotinfo").link_list()[2:]
     info = {row["name"]: row for row in rows}
-    assert len(prime_diagrams()) == 249
-    for name, code in prime_diagrams().items():
+    assert len(_prime_diagrams()) == 249
+    for name, code in _prime_diagrams().items():
         pd = json.loads(info[name]["pd_notation"])
-        assert sorted(pd_code(code)) == sorted(pd) and from_pd(pd) == code
+        assert sorted(pd_code(code)) == sorted(pd) and _from_pd(pd) == code
         table_dt = parse_code(info[name]["dt_notation"])
         assert dt_text(table_dt) == info[name]["dt_notation"]
         assert knot_type(table_dt) in (name, "unknown")
@@ -266,7 +266,7 @@ def test_gauss_codes_may_be_signed_numbers() -> None:
     trefoil = GaussCode.parse("1-,2+,3-,1+,2-,3+")
     for text in ("-1 2 -3 1 -2 3", "[-7,2,-3,7,-2,3]"):
         assert parse_code(text) == trefoil
-    assert parse_code("4 6 2") == from_dt([4, 6, 2])  # one sign for each number: a DT code
+    assert parse_code("4 6 2") == _from_dt([4, 6, 2])  # one sign for each number: a DT code
     with pytest.raises(InvalidInput, match="no planar diagram has it"):
         parse_code("1 -2 -1 2")
 
@@ -319,7 +319,7 @@ def test_a_notation_is_a_row_of_the_table_of_readers(monkeypatch: pytest.MonkeyP
     row = re.compile(r"Kinks:\d+"), lambda tight, _: GaussCode.parse(kinks_of(int(tight[6:])))
     monkeypatch.setattr(notation, "_READERS", (row, *notation._READERS))
     (code,) = parse_codes(["Kinks:3 # curls"])
-    assert str(code) == kinks_of(3) and parse_code("[4,6,2]") == from_dt([4, 6, 2])
+    assert str(code) == kinks_of(3) and parse_code("[4,6,2]") == _from_dt([4, 6, 2])
     with pytest.raises(InvalidInput, match="cannot read the visit"):
         parse_code("Kinks:x")
 
@@ -354,7 +354,7 @@ def test_spherogram_writes_alphabetical_dt_codes_as_they_are_read() -> None:
     for name in ("3_1", "4_1", "8_20", "9_49", "10_161"):
         link = spherogram.Link(name)
         numbers, letters = link.DT_code()[0], link.DT_code(DT_alpha=True)
-        assert parse_code(letters) == from_dt(numbers)
+        assert parse_code(letters) == _from_dt(numbers)
         assert knot_type(parse_code(letters)) == name
 
 

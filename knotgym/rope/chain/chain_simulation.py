@@ -20,6 +20,7 @@ from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
+from knotgym.rope.closed_curves import directions
 from knotgym.rope.interface import Ids, Simulation
 from knotgym.rope.model import Array, Rope
 
@@ -65,7 +66,7 @@ class ChainSimulation(Simulation):
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
         points, sides = states[:, :, POSITION], states[:, :, SIDE]
-        along = _along(points)
+        along = directions(points)
         # MuJoCo's frame of a bead: x along it, y its side, z what is left of a right-handed frame.
         axes = np.stack([along, sides, np.cross(along, sides)], axis=-1)
         return self.rope.turned_qpos(points, _quaternions(axes))
@@ -103,7 +104,7 @@ class ChainSimulation(Simulation):
         states[:, :, VELOCITY] = velocities
         # Joints resist rates, not angles, so each bead's axis may be chosen by itself: level, as
         # in a flat rope.
-        along = _along(states[:, :, POSITION])
+        along = directions(states[:, :, POSITION])
         sides = np.cross((0.0, 0.0, 1.0), along)
         upright = np.abs(along[..., 2]) > 0.999
         sides[upright] = np.cross(along[upright], (1.0, 0.0, 0.0))
@@ -204,15 +205,9 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
         data.qpos[:] = positions
         mujoco.mj_kinematics(rope.model, data)
         sides[row] = data.xmat[rope.bodies].reshape(-1, 3, 3)[:, :, 1]
-    along = _along(points)
+    along = directions(points)
     sides -= (sides * along).sum(axis=2, keepdims=True) * along
     return sides / np.linalg.norm(sides, axis=2, keepdims=True)
-
-
-def _along(points: Array) -> Array:
-    edges = np.roll(points, -1, axis=1) - points
-    unit: Array = edges / np.linalg.norm(edges, axis=2, keepdims=True)
-    return unit
 
 
 def _quaternions(axes: Array) -> Array:
