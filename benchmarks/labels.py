@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.generate import coil
+from knotgym.generate import PhasedPulls
 from knotgym.rope import CHAIN, RopeConfig, simulation_of
 from knotgym.states import read_states, shipped
 from knotgym.topology import label_many
@@ -135,7 +135,7 @@ class Ropes:
 
     def __init__(self) -> None:
         self._simulation = simulation_of(ROPES, RopeConfig(), CHAIN)
-        self._start = self._simulation.rope.qpos(coil(self._simulation.rope))
+        self._start = self._simulation.rope.qpos(PhasedPulls.coil(self._simulation.rope))
         self._drawn = read_states(shipped("bench"), images=False).points
 
     def chunk(self, rng: np.random.Generator, frames: int) -> tuple[str, Array]:

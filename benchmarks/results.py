@@ -28,8 +28,8 @@ from scores import CELL, LINE, read_scores
 
 from knotgym.common import InvalidFile, atomic_write
 from knotgym.datasets import table
-from knotgym.generate import SUITE
-from knotgym.runs import versions
+from knotgym.generate import SUITE, EvaluateConfig
+from knotgym.runs import identity
 
 ROOT = Path(__file__).parents[1]
 COUNTS = ("nx", "episodes", "successes", "starts", "goals")
@@ -110,10 +110,11 @@ def as_cell(row: Mapping[str, Any], at: str, learner: str) -> Row:
     Raises:
         InvalidFile: the code that measured it isn't that of this checkout.
     """
-    if row["code_sha256"] != versions()["code"]:
+    code = identity(EvaluateConfig())["versions"]["code"]
+    if row["code_sha256"] != code:
         raise InvalidFile(
             f"{row['policy']}, {row['task']} nx {row['nx']} was measured with code"
-            f" {row['code_sha256'][:8]}, and this checkout has {versions()['code'][:8]}: check out"
+            f" {row['code_sha256'][:8]}, and this checkout has {code[:8]}: check out"
             " its commit, or measure it again"
         )
     trained = row["training"].get("seconds")

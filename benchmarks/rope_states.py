@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from knotgym.generate import coil
+from knotgym.generate import PhasedPulls
 from knotgym.rope import CHAIN, Array, RopeConfig, simulation_of
 from knotgym.topology import label
 
@@ -16,7 +16,7 @@ def tangled(
 ) -> Iterator[Array]:
     """Yield `count` configurations (beads, 3) with `least` to `most` crossings."""
     simulation = simulation_of(ROPES, RopeConfig(), CHAIN)
-    start = simulation.rope.qpos(coil(simulation.rope))
+    start = simulation.rope.qpos(PhasedPulls.coil(simulation.rope))
     simulation.lay(np.repeat(start[None], ROPES, axis=0))
     given = 0
     while given < count:

@@ -36,6 +36,11 @@ def typed(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "knotgym", *map(str, arguments)]
 
 
+def staging_of(out: Path) -> Path:
+    """Where a run keeps its work until its output is finished."""
+    return out.with_name(f".{out.name}.partial")
+
+
 def wait_for_file(run: subprocess.Popen[str], folder: Path, pattern: str) -> None:
     """Wait until a file of that name is anywhere below a folder, or the process has ended."""
     until = time.monotonic() + SECONDS

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pictures import Misread, page, shown_rows
+from strand_loss import strand_loss
 
 from knotgym.datasets import decode, read_rows
 from knotgym.learn import RopeReader, StrandNetwork, load_rope_reader
@@ -29,9 +30,7 @@ from knotgym.topology import GaussCode, Symmetry, find_crossings, images
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
 Array = NDArray[np.float64]
-Example = tuple[
-    NDArray[np.uint8], Array, Array, Array
-]  # picture, and the targets of `StrandNetwork.loss`
+Example = tuple[NDArray[np.uint8], Array, Array, Array]  # picture, and the targets of `strand_loss`
 
 
 def read(given: argparse.Namespace) -> None:
@@ -99,7 +98,7 @@ def train(given: argparse.Namespace) -> None:
             image, *true = (
                 torch.from_numpy(np.stack(part)).to(given.device).float() for part in parts
             )
-            loss = network.loss(image.permute(0, 3, 1, 2), *true)
+            loss = strand_loss(network, image.permute(0, 3, 1, 2), *true)
             optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)

@@ -45,17 +45,17 @@ def doctor(given: Given) -> None:
     from knotgym.datasets import machine
 
     differs = []
-    for name, found in measured():
+    for name, found in _measured():
         same = found == EXPECTED[name]
         differs += [name] * (not same)
         expected = "" if same else f", recorded {EXPECTED[name]}"
         progress.say(f"{'ok' if same else 'differs':8}{found}  {name}{expected}")
-    progress.say(", ".join(f"{key} {value}" for key, value in {**machine(), **versions()}.items()))
+    progress.say(", ".join(f"{key} {value}" for key, value in {**machine(), **_versions()}.items()))
     if differs:
         raise Failed(f"{len(differs)} of {len(EXPECTED)} differ: {', '.join(differs)}")
 
 
-def versions() -> dict[str, str]:
+def _versions() -> dict[str, str]:
     """Return the versions that decide bytes."""
     from importlib.metadata import version
 
@@ -63,7 +63,7 @@ def versions() -> dict[str, str]:
     return {name: version(name) for name in names}
 
 
-def measured() -> Iterator[tuple[str, str]]:
+def _measured() -> Iterator[tuple[str, str]]:
     """Yield the name and the digest of each row of `EXPECTED`, in its order."""
     from knotgym.control import PolicyConfig, make_policy, rollouts
     from knotgym.drawing import drawn_curve
@@ -88,29 +88,29 @@ def measured() -> Iterator[tuple[str, str]]:
         for action in range(1, stops[-1] + 1):
             ropes.act(rng.uniform(-1, 1, (count, 6)).astype(np.float32))
             if action in stops:
-                yield f"{title}, {action} action{'s' * (action > 1)}", digest(ropes.points)
+                yield f"{title}, {action} action{'s' * (action > 1)}", _digest(ropes.points)
         shown.append(ropes.points.copy())
     codes = [code.chiral for ropes_of in shown for code in label_many(ropes_of)]
-    yield "Gauss codes", digest(codes)
+    yield "Gauss codes", _digest(codes)
     code = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
     curve = drawn_curve(code, np.random.default_rng(2))
-    yield "drawn curves", digest(curve)
+    yield "drawn curves", _digest(curve)
     with tempfile.TemporaryDirectory() as folder:
         config = GenerateConfig(nx=(2,), count=4, demonstrations=False)
         options = RunOptions(workers=1, quiet=True)
         made = make_states(config, Path(folder) / "made", options, progress=Progress(quiet=True))
         held = read_states(made / "states.h5")
-    yield "generated states", digest(held.qpos, held.image, [*held.gauss_code_chiral])
-    yield "picture", digest(draw(states.points[-1]))
+    yield "generated states", _digest(held.qpos, held.image, [*held.gauss_code_chiral])
+    yield "picture", _digest(draw(states.points[-1]))
     shot = photograph(states.points[100], 256, np.random.default_rng(0))
-    yield "photo", digest(shot.image if shot else [])
+    yield "photo", _digest(shot.image if shot else [])
     task = TaskConfig(task="tie", nx=2, engine=CHAIN)
     played = rollouts(make_policy(PolicyConfig(policy="expert")), task, [0, 1])
-    yield "expert's episode", digest(played.steps["action"], played.steps["observation"])
-    yield "marked observations", digest(join(mark(states.points, [code] * len(states))))
+    yield "expert's episode", _digest(played.steps["action"], played.steps["observation"])
+    yield "marked observations", _digest(join(mark(states.points, [code] * len(states))))
 
 
-def digest(*values: Any) -> str:
+def _digest(*values: Any) -> str:
     """Return 12 hexadecimal digits of the SHA-256 of arrays, or of lists of text."""
     found = hashlib.sha256()
     for value in values:

@@ -1,6 +1,5 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from textwrap import TextWrapper, fill
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.common import Failed, InvalidInput, atomic_write, one_line, require_output
+from knotgym.common import Failed, InvalidInput, atomic_write, require_output
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
     CardTable,
@@ -22,9 +21,8 @@ from knotgym.datasets import (
     summary,
     try_files,
 )
-from knotgym.generate import Result, is_entry, read_entry, recounted
 from knotgym.generate import film as film_of
-from knotgym.generate import show as show_results
+from knotgym.generate import read_entry
 from knotgym.prompting import show_transcripts
 from knotgym.rendering import Film
 from knotgym.rope import RopeConfig, simulation_of
@@ -67,14 +65,8 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
     tables = [file for file in (root, *root.glob("**/*.parquet")) if file.is_file()]
     large = sum(file.stat().st_size for file in tables) > _LARGE
     progress.stage(f"checking {root}")
-    if is_entry(root):
-        results, entry = list[Result](), read_entry(root)
-        for result, wrong in recounted(entry):
-            yield from (f"{root}: {fault}" for fault in wrong)
-            results.append(result)
-        show_results(results, progress.console, entry.config.task.engine)
-        for number, claimed in enumerate(entry.claimed, 1):
-            progress.say(one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
+    if entry := read_entry(root):
+        yield from (f"{root}: {fault}" for fault in entry.faults(progress))
         return
     with executor(0 if large else 1) as pool:
         yield from dataset_faults(named, pool.map, progress.stage, sample)
@@ -82,9 +74,8 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
 
 def checked(named: str, sample: int = 0) -> str:
     """Describe what `faults` has checked, as counts."""
-    if is_entry(resolve(named)):
-        entry = read_entry(resolve(named))
-        return f"{entry.rows.rows} episodes of {len(entry.pulls['bead'])} pulls, all replayed"
+    if entry := read_entry(resolve(named)):
+        return str(entry)
     counts = locate(named).counts(sample)
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 

@@ -135,7 +135,7 @@ def command(
     known = {one.path: one for one in _all_fields(sections)}
     options = [known[path].parameter(typed) for path, _, typed in map(_renamed, fields.split())]
 
-    def declare(function: Callable[..., None]) -> App:
+    def _declare(function: Callable[..., None]) -> App:
         own = {one.name: one for one in [*inspect.signature(function).parameters.values()][1:]}
 
         def run(
@@ -172,7 +172,7 @@ def command(
         app.default(run)
         return app
 
-    return declare
+    return _declare
 
 
 def _renamed(word: str) -> tuple[str, str, str]:
@@ -272,15 +272,15 @@ def settings_named(sections: Sections, name: str) -> list[str]:
 def _all_fields(sections: Sections) -> Iterator[_Field]:
     """Yield the fields of all sections, and those of the configurations in them."""
 
-    def below(kind: type, path: str, defaults: Any) -> Iterator[_Field]:
+    def _below(kind: type, path: str, defaults: Any) -> Iterator[_Field]:
         for name, hint in get_type_hints(kind).items():
             default = getattr(defaults, name, None)
             yield _Field(f"{path}{name}", kind, hint, default)
             if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-                yield from below(hint, f"{path}{name}.", hint if default is None else default)
+                yield from _below(hint, f"{path}{name}.", hint if default is None else default)
 
     for section, kind in sections.items():
-        yield from below(kind, f"{section}." if section else "", kind)
+        yield from _below(kind, f"{section}." if section else "", kind)
 
 
 def field_help(kind: type, name: str) -> str:

@@ -34,6 +34,7 @@ COMMANDS = {
     "doctor": "Compare digests of a fixed list with those recorded, in a minute.",
 }
 
+_BESIDE = {"suite": "collect", "images": "generate"}  # commands in the module of another
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -63,8 +64,13 @@ def application() -> App:
         version=f"knotgym {__version__}",
     )
     for name, summary in COMMANDS.items():
-        app.command(f"knotgym.cli.{name}_command:{name}", name=name, help=summary)
+        app.command(f"{module_of(name)}:{name}", name=name, help=summary)
     return app
+
+
+def module_of(command: str) -> str:
+    """Return the module of a command."""
+    return f"knotgym.cli.{_BESIDE.get(command, command)}_command"
 
 
 def main_generate() -> None:

@@ -1,10 +1,7 @@
 from .episodes.collect import collect as collect
 from .episodes.collect import require_collectable as require_collectable
 from .episodes.comparison import compare as compare
-from .episodes.comparison import scores_in as scores_in
-from .episodes.entries import is_entry as is_entry
 from .episodes.entries import read_entry as read_entry
-from .episodes.entries import recounted as recounted
 from .episodes.episode_configs import CollectConfig as CollectConfig
 from .episodes.episode_configs import EvaluateConfig as EvaluateConfig
 from .episodes.evaluate import evaluate as evaluate
@@ -14,8 +11,6 @@ from .episodes.recordings import recordings as recordings
 from .episodes.recordings import write_recordings as write_recordings
 from .episodes.results import Result as Result
 from .episodes.results import evaluation_in as evaluation_in
-from .episodes.results import result_of as result_of
-from .episodes.results import show as show
 from .episodes.suite import make_suite as make_suite
 from .episodes.suite_config import SUITE as SUITE
 from .episodes.suite_config import SuiteConfig as SuiteConfig
@@ -25,6 +20,5 @@ from .images.images_config import ImagesConfig as ImagesConfig
 from .states.generate_config import GenerateConfig as GenerateConfig
 from .states.imported_curves import import_curves as import_curves
 from .states.play_source import PhasedPulls as PhasedPulls
-from .states.play_source import coil as coil
 from .states.state_recipe import make_states as make_states
 from .states.state_rows import judge as judge

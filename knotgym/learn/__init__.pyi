@@ -1,7 +1,3 @@
-from .clone_network import CloneNetwork as CloneNetwork
-from .clone_network import Inputs as Inputs
-from .clone_network import MarkedInputs as MarkedInputs
-from .clone_network import inputs as inputs
 from .rope_reader import RopeReader as RopeReader
 from .rope_reader import load_rope_reader as load_rope_reader
 from .strand_network import StrandNetwork as StrandNetwork

@@ -19,9 +19,8 @@ from knotgym.control import BatchedSearch, PassValues, Player, PullPlannerConfig
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE
-from knotgym.learn.position_belief import REACH
 from knotgym.learn.reader import Reader
-from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, perturb_heights
+from knotgym.learn.shape_hypotheses import MOST_IMAGINED, REACH, ShapeHypotheses, perturb_heights
 from knotgym.rope import ChainSimulation
 from knotgym.topology import GaussCode, label_many
 

@@ -11,17 +11,17 @@ another signature stands is refused.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
-from torch import Tensor
+from torch import Tensor, nn
 
 from knotgym.common import InvalidFile, atomic_write, one_line, read_json, require_regular, sha256
 from knotgym.learn.reader import Reader, inference
@@ -36,21 +36,6 @@ PICTURES, CLONE = "pictures", "clone"  # learners, beside ROPE_READER
 # By which numbers of a signature, of order 1 to 20, may be off: a machine's float32 rounding moves
 # them by less than 1e-5; two attention heads for four move an untrained clone's by 0.1.
 _OFF = 2e-4
-
-
-class Network(Protocol):
-    """A network that can be kept: a torch module with a signature."""
-
-    def signature(self) -> Tensor:
-        """Return numbers that depend on all parts of the network, for inputs made by itself."""
-
-    def parameters(self) -> Iterator[Tensor]: ...
-    def state_dict(self) -> dict[str, Tensor]: ...
-    def load_state_dict(self, state_dict: dict[str, Tensor], strict: bool = True) -> Any: ...
-    def eval(self) -> Any: ...
-
-
-Kept = TypeVar("Kept", bound=Network)
 
 
 class Learned(NamedTuple):
@@ -74,7 +59,7 @@ def policy_folder(name: str) -> Path:
 
 def save_network(
     folder: Path,
-    network: Network,
+    network: nn.Module,
     learner: str,
     card: dict[str, Any],
     others: dict[str, Tensor] | None = None,
@@ -83,7 +68,8 @@ def save_network(
 
     Args:
         folder: created where it is missing.
-        network: on the CPU.
+        network: on the CPU; its `signature` returns numbers that depend on all parts of it, for
+            inputs made by itself.
         learner: what it is part of: PICTURES, CLONE or ROPE_READER.
         card: how it was trained.
         others: tensors that belong to the learner beside the network's.
@@ -113,9 +99,9 @@ def save_network(
 def load_network(
     folder: Path,
     learner: str,
-    make: Callable[[dict[str, Tensor]], Kept],
+    make: Callable[[dict[str, Tensor]], Any],
     others: tuple[str, ...] = (),
-) -> tuple[Kept, dict[str, Tensor]]:
+) -> tuple[Any, dict[str, Tensor]]:
     """Load a learner's network, in evaluation mode, and the tensors beside it.
 
     Args:
@@ -167,7 +153,7 @@ def load_network(
     return network, beside
 
 
-def _signature(network: Network) -> list[float]:
+def _signature(network: nn.Module) -> list[float]:
     with inference():
         return [float(f"{one:.6g}") for one in network.signature().flatten().tolist()]
 

@@ -97,7 +97,7 @@ class _CircularConvolution(nn.Module):
         return self.convolution(padded)
 
 
-def initialize(network: BeadNetwork, seed: int) -> BeadNetwork:
+def _initialize(network: BeadNetwork, seed: int) -> BeadNetwork:
     """Reset a network's weights in place from a seed, independently of torch's global generator."""
     generator = torch.Generator().manual_seed(seed)
     for parameter in network.parameters():
@@ -142,7 +142,7 @@ class Reader(nn.Module):
         super().__init__()
         # `join`: x and y, READINGS heights and READINGS logits; `correct`: x, y and height
         self.join, self.correct = (
-            initialize(
+            _initialize(
                 BeadNetwork(INPUTS, outputs, width, (1, 2, 4, 8, 1, 2, 4, 8)), 2 * seed + own
             )
             for own, outputs in enumerate((2 + 2 * READINGS, 3))

@@ -6,7 +6,6 @@ them; a training that is interrupted continues from its one checkpoint.
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,13 @@ from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, CLONE, PICTURES, save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
 from knotgym.learn.reader_training import ReaderTraining
-from knotgym.learn.searched_passes import TOGETHER, demonstrate
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import draw_curve, fit
 from knotgym.learn.training_data import (
+    TOGETHER,
     Examples,
     decisions_of,
+    demonstrate,
     require_trainable,
     states_and_pulls,
 )
@@ -37,7 +37,6 @@ from knotgym.runs import (
     checkpoint_of,
     compile_first,
     identity,
-    identity_of,
     run,
 )
 
@@ -96,24 +95,24 @@ def train(
         "identity": whole,
     }
 
-    def recipe(place: Path) -> Recipe[str]:
+    def _recipe(place: Path) -> Recipe[str]:
         if isinstance(config, CloneConfig):
             return (yield from _train_clone(opened, config, place, card, shown))
         yield from _train_reader(opened, config, place, card, shown)
         return f"{config.steps} steps"
 
-    def prepare(progress: Progress, pool: Executor) -> None:
+    def _prepare(progress: Progress, pool: Executor) -> None:
         if getattr(config, "demonstrations", 0):
             compile_first(progress, CHAIN, pool=pool)
 
     return run(
-        recipe,
+        _recipe,
         out,
         whole,
         options,
         progress,
-        prepare=prepare,
-        made_by=partial(identity_of, file=CARD),
+        prepare=_prepare,
+        identity_in=CARD,
     )
 
 

@@ -1,17 +1,39 @@
-"""What learners take from episode datasets: states and pulls, or decisions."""
+"""What learners are trained on: states and pulls of datasets, decisions, and searched passes.
 
-from collections.abc import Sequence
+A clone imitates passes that the expert's search finds, and learns what it tried in vain. A search
+begins in a start of the task, after up to _WANDER random passes, so that ropes lie in more ways
+than the states of a set. All of its passes are examples: those on the way to the goal are to be
+imitated; others didn't work. Where a pass led to another code, that code is one more goal that it
+works for. Beads may be numbered from any other one: then the rope shows the goal's place in the
+code, and the code that it ends in, read from there.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput
+from knotgym.common import InvalidInput, Stream
+from knotgym.control import (
+    BatchedSearch,
+    PassPlan,
+    PassPlannerConfig,
+    PassSearch,
+    PassValues,
+    Search,
+    TriedPass,
+    try_pass,
+)
 from knotgym.datasets import Episodes
-from knotgym.envs import TaskConfig, mark
+from knotgym.envs import EpisodeBatch, TaskConfig, mark
 from knotgym.learn.colour_reading import BEADS
-from knotgym.rope import RopeConfig
-from knotgym.topology import CodeArrays, GaussCode
+from knotgym.learn.train_config import CloneConfig
+from knotgym.rope import Array, Pass, RopeConfig
+from knotgym.runs import Result
+from knotgym.states import CODE_SPLITS
+from knotgym.topology import CodeArrays, GaussCode, label
 
 
 class TrainingData(NamedTuple):
@@ -142,3 +164,117 @@ def require_trainable(task: TaskConfig, rope: str, episodes: Episodes, name: Any
     beads = episodes.steps["observation"].shape[1]
     if beads != BEADS:
         raise InvalidInput(f"{name} has ropes of {beads} beads; {BEADS} are needed")
+
+
+TOGETHER = 250  # searches of one call
+_ROPES = 128  # that are searched in side by side
+# Of these only the budget has a measurement.
+_WANDER = 2  # random passes before a search, at most
+# A search that finds a way finds it early: at tie nx 3 one of budget 2,000 simulates 240 pulls on
+# average, most of them in searches that fail.
+_SEARCH = PassPlannerConfig(budget=500)
+_IN_VAIN, _ELSEWHERE = 4, 4  # passes of a search that are kept as such examples, at most
+_MOST_CROSSINGS = 6  # of a goal; the network sees no more
+
+
+def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
+    """Search ways in some starts of a task; return the columns of `Examples`."""
+    numbers = range(first, min(first + TOGETHER, config.demonstrations))
+    place = config.task.index(task), nx
+    setup = TaskConfig(
+        task=task,
+        nx=nx,
+        split=config.split,
+        states=config.states,
+        observation="state",
+        engine="chain",
+    )
+    seeds = [Stream.DEMONSTRATION.derived_seed(config.seed, *place, k) for k in numbers]
+    batch, ids = EpisodeBatch(setup, len(seeds)), np.arange(len(seeds))
+    batch.begin(ids, seeds)
+    values = PassValues.of_split(config.split, every_code=True)
+    rngs = [Stream.DEMONSTRATION.generator(seed) for seed in seeds]
+    states, goals = batch.simulation.states(ids), batch.goals_of(ids)
+    wanders = [
+        [Pass.drawn(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs
+    ]
+    given = zip(states, batch.simulation.points[ids].copy(), goals, wanders, strict=True)
+    # numbered by the order in which they were given, though they end in any order
+    search = BatchedSearch(_ROPES)
+    found = dict(search.run(_found(*one, values) for one in given))
+    # a code that is held out is no goal, wherever passes lead
+    elsewhere = 0 if config.split in CODE_SPLITS else _ELSEWHERE
+    rows = [
+        (first + k, *row)
+        for k in sorted(found)
+        for row in _shown(found[k], goals[k], config.copies, elsewhere, rngs[k])
+    ]
+    # none where the order of the passes knows no way to any of the goals
+    episodes, points, codes, macros, worked = zip(*rows, strict=True) if rows else ((),) * 5
+    return examples(
+        np.array(points, dtype=np.float32).reshape(-1, setup.beads, 3),
+        codes,
+        np.array(macros, dtype=np.int64).reshape(-1, 3),
+        np.array(worked, dtype=np.bool_),
+        np.array(episodes, dtype=np.int64),
+    )._asdict()
+
+
+def _found(
+    state: Array, points: Array, goal: GaussCode, wander: Sequence[Pass], values: PassValues
+) -> Search[PassPlan]:
+    """Search a way from where random passes lead, unless they lead to the goal."""
+    for move in wander:
+        landing = yield from try_pass(state, move, goal)
+        # a start that shows its goal would have nothing to find
+        if landing.lost or landing.code.matches(goal):
+            break
+        state, points = landing.state, landing.points
+    return (yield from PassSearch(values, goal, _SEARCH).run(state, points))
+
+
+Row = tuple[Array, GaussCode, Pass, bool]
+
+
+def _shown(
+    plan: PassPlan, goal: GaussCode, copies: int, elsewhere: int, rng: np.random.Generator
+) -> Iterator[Row]:
+    """Yield the examples of a search: points, goal, macro-action, and whether it works."""
+    beads, way = len(plan.tried[0].points) if plan.tried else 0, {id(one) for one in plan.passes}
+    some = partial(_some, rng=rng)
+    for one in some([one for one in plan.tried if _leads_elsewhere(one, goal)], elsewhere):
+        yield _numbered(one, int(rng.integers(beads)), one.landing.points)
+    # by identity, as two tries of one pass from one state are different examples
+    vain = [one for one in plan.tried if id(one) not in way]
+    if not plan.passes:
+        yield from ((one.points, goal, one.move, False) for one in some(vain, _IN_VAIN))
+        return
+    # the rope ends where the goal's code is shown, from whichever bead it is read
+    end = plan.passes[-1].landing.points
+    for base in (0, *rng.choice(np.arange(1, beads), copies, replace=False).tolist()):
+        yield from (_numbered(one, base, end)[:3] + (True,) for one in plan.passes)
+        yield from (_numbered(one, base, end) for one in some(vain, _IN_VAIN))
+
+
+def _numbered(one: TriedPass, base: int, end: Array) -> Row:
+    """Number the beads of a pass from `base`; its goal is the code of `end`, read from there.
+
+    It works if it leads to that code. From bead 0 a pass in vain doesn't, from another it may.
+    """
+    count, (bead, target, side) = len(end), one.move
+    start, led, wanted = (np.roll(x, -base, axis=0) for x in (one.points, one.landing.points, end))
+    goal = label(wanted).plain
+    move = Pass((bead - base) % count, (target - base) % count, side)
+    return start, goal, move, label(led).matches(goal)
+
+
+def _leads_elsewhere(one: TriedPass, goal: GaussCode) -> bool:
+    led, here = one.landing.code, label(one.points)
+    known = led.matches(goal) or led.matches(here) or one.landing.lost
+    return not known and led.nx <= _MOST_CROSSINGS
+
+
+def _some(passes: Sequence[TriedPass], most: int, *, rng: np.random.Generator) -> list[TriedPass]:
+    # drawn without replacement, then in the order of the search
+    chosen = rng.permutation(len(passes))[:most]
+    return [passes[k] for k in np.sort(chosen).tolist()]

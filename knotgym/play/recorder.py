@@ -27,7 +27,7 @@ from knotgym.control import Player, Pulls, rollouts
 from knotgym.datasets import EpisodeDataset, MinariMetadata, open_episodes, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.play.session import HandPull
-from knotgym.runs import Existing, identity, staged
+from knotgym.runs import RunOptions, identity, staged
 from knotgym.states import is_bundled, minari_root, resolve_states
 
 HUMAN = "human"  # name of the policy, which who played may follow
@@ -90,7 +90,7 @@ class Recorder:
         self._seeds = self._stored_seeds()
         run = {"task": as_json(self._task), "seed": self._seed, "player": self._policy}
         whole = identity(self._task, fields={**run, "dataset_id": self._metadata.dataset_id})
-        staging = staged(self.folder, whole, Existing(resume=True))
+        staging = staged(self.folder, whole, RunOptions(resume=True))
         _, self._journal = self._stack.enter_context(staging)
         for key in [*self._journal]:
             number, kept = int(key.removeprefix(_KEY)), self._journal[key]

@@ -5,7 +5,6 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompted_episodes import flat, packed, play, read, unpacked
 from knotgym.prompting.prompts import as_text
 from knotgym.prompting.transcripts import FILE, line, reading_scores, summarize
-from knotgym.runs import Progress, Recipe, Result, RunOptions, identity, identity_of, run
+from knotgym.runs import Progress, Recipe, Result, RunOptions, identity, run
 
 _RESULT = "result.json"
 _FREE = ("timeout", "attempts")  # settings of the client that don't change a request
@@ -76,7 +75,7 @@ def run_prompts(
         progress,
         pool=pool,
         count=lambda kept: {"retries": sum(unpacked(kept)["retries"].values())},
-        made_by=partial(identity_of, file=_RESULT),
+        identity_in=_RESULT,
     )
 
 

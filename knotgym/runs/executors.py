@@ -1,21 +1,32 @@
-"""Executors: this process, processes of this machine, or a Dask cluster.
+"""Executors: this process, processes of this machine, or a Dask cluster; and what compiles first.
 
 Each is a `concurrent.futures.Executor` with an attribute `workers`. A call depends on its arguments
 alone, so the choice of executor doesn't change a byte of the output.
+
+Workers of a cluster read the files of a run themselves, so they must see its folder under the same
+path: start them anywhere on one shared file system, with the same version of knotgym, and
+PYTHONSAFEPATH=1 unless every module in the folder where they start may be imported. When a worker
+dies, Dask repeats its calls on other workers, with the same bytes.
+
+Kernels are compiled before a run, so that its processes don't all wait for the same ones.
 """
 
+import gc
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
-from knotgym.common import cores
+from knotgym.common import Failed, InvalidInput, MissingExtra, cores
+from knotgym.rope import CHAIN, MUJOCO, is_compiled, simulation
+from knotgym.runs.identities import versions
+from knotgym.runs.progress import Progress
 
 # Python's resource tracker warns when it cleans up after a killed run, which is expected.
 _IGNORED_WARNING = "ignore:resource_tracker:UserWarning"
@@ -68,9 +79,7 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
         Failed: the cluster or its workers are gone.
     """
     if scheduler:
-        from knotgym.runs.dask_executor import cluster
-
-        with cluster(scheduler) as remote:
+        with _cluster(scheduler) as remote:
             yield remote
         return
     count = workers or cores()
@@ -160,3 +169,156 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
+
+# Simulations are cached per process, and two threads of a worker must not share them.
+_one_at_a_time = threading.Lock()
+
+
+class _Cluster(Executor):
+    """Dask's own executor; calls are made in the folder of the run, by the same version."""
+
+    def __init__(self, executor: Executor, workers: int) -> None:
+        self._executor, self.workers = executor, workers
+        self._run = os.getcwd(), versions()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        return self._executor.submit(_call, *self._run, fn, args, kwargs)
+
+
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[Executor]:
+    """Connect to the cluster whose scheduler is at this address.
+
+    Raises:
+        MissingExtra: Dask distributed isn't installed.
+        InvalidInput: the cluster can't be used.
+        Failed: the cluster is gone, or several workers died on the same call.
+    """
+    try:
+        from distributed import Client, KilledWorker
+        from distributed.comm import CommClosedError
+    except ModuleNotFoundError as error:
+        raise MissingExtra("Dask distributed", "dask", "run.scheduler") from error
+    except AttributeError as error:
+        # distributed takes any module `snappy` for the compressor of that name
+        raise InvalidInput(
+            "Dask distributed can't be imported where SnapPy is installed, which has a module of"
+            " the same name as a compressor that Dask looks for: use an environment without SnapPy"
+        ) from error
+    try:
+        client = Client(scheduler, timeout=TIMEOUT, set_as_default=False)
+        client.wait_for_workers(1, timeout=TIMEOUT)
+    except (OSError, ValueError) as error:
+        raise InvalidInput(
+            f"no Dask scheduler with workers answers at {scheduler}: check the address, or start"
+            " `dask scheduler` and `dask worker`"
+        ) from error
+    try:
+        yield _Cluster(client.get_executor(pure=False), len(client.nthreads()))
+    except KilledWorker as error:
+        raise Failed(
+            "several workers of the cluster died on the same work; --resume continues from there"
+        ) from error
+    except (CommClosedError, CancelledError) as error:
+        raise Failed(
+            "the scheduler is gone; --resume continues from there, with any executor"
+        ) from error
+    finally:
+        client.close(timeout=2.0)
+
+
+def _call(
+    folder: str, run: dict[str, str], fn: Callable[..., Any], args: Any, kwargs: dict[str, Any]
+) -> Any:
+    """Make a call on a worker, in the working directory of the run."""
+    import cv2
+
+    if versions() != run:
+        raise InvalidInput(
+            f"a worker of the cluster has other versions than the run, {versions()} and {run}:"
+            " results could differ"
+        )
+    with _one_at_a_time:
+        if os.getcwd() != folder:
+            sys.path[:] = filter(None, sys.path)  # "" would import from the run's folder
+            os.chdir(folder)  # paths may be relative to the run's folder
+        cv2.setNumThreads(1)
+        return fn(*args, **kwargs)
+
+
+_PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
+
+
+def compile_first(
+    progress: Progress,
+    engine: str = MUJOCO,
+    pool: Executor | None = None,
+    *,
+    draws: bool = False,
+    plan: Callable[[], None] | None = None,
+) -> None:
+    """Compile an engine's kernels, if they aren't; beside them, those that paint pictures.
+
+    Both take about as long, so two processes of the pool compile them. In this process alone,
+    which is the default, pictures wait until one is painted. A run that draws states also needs
+    the kernels that draw and measure them, and one that plans in the chain engine those that
+    `plan`, a function of a module, uses; otherwise each of its workers would compile them. States
+    are drawn before anything is planned, so `plan` may still be under way on return.
+    """
+    engines = [CHAIN, engine] if plan is not None and engine != CHAIN else [engine]
+    if not all(map(is_compiled, engines)):
+        progress.stage("compiling, only on the first run")
+        pool = pool or InProcess()
+        # longest first; what several need is in the cache when the second comes to it
+        longest, *others = engines
+        if not isinstance(pool, InProcess):
+            parts = [_DRAWINGS, _PICTURES, _MEASURES] if draws else [_PICTURES]
+            others = [*parts, *others]
+        first = pool.submit(_compile, longest)
+        later = [pool.submit(_compile, name) for name in others]
+        first.result()
+        if plan is not None:
+            planned = pool.submit(plan)  # moves ropes in the engine that is compiled by now
+            later += [] if draws else [planned]
+        for compiled in later:
+            compiled.result()
+    progress.stage("starting")
+
+
+def _compile(kernels: str) -> None:
+    import numpy as np
+
+    from knotgym.rope import Rope
+
+    gc.disable()  # it finds nothing meanwhile, and takes a twentieth of the time
+    rope, rng = Rope(), np.random.default_rng(0)
+    if kernels == _PICTURES:
+        from knotgym.rendering import draw
+
+        draw(rope.loop())
+    elif kernels == _DRAWINGS:
+        from knotgym.drawing import drawn_curve
+        from knotgym.topology import GaussCode
+
+        drawn_curve(GaussCode.parse("1+,1-"), rng, rope)
+    elif kernels == _MEASURES:
+        from knotgym.quality import measure, noise_survival
+        from knotgym.topology import pyknotid_code
+
+        t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+        eight = np.stack([0.3 * np.sin(t), 0.15 * np.sin(2 * t), 0.01 * np.cos(t)], axis=1)
+        points = rope.from_curve(eight)
+        measure(points)
+        noise_survival(points, 0.015, rng, draws=2)
+        pyknotid_code(points)
+        rope.qpos(points)
+    else:
+        from knotgym.topology import label
+
+        first = simulation(kernels)
+        first.step([0], [[0.0, 0.0, 0.0]])
+        label(first.points[0])
+    gc.enable()

@@ -6,7 +6,7 @@ or recognized as finished if its identity is the same; otherwise the error names
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -130,10 +130,11 @@ def versions() -> dict[str, str]:
     }
 
 
-def identity_of(out: Path, file: str = "manifest.json") -> dict[str, Any] | None:
-    """Return the identity in this file of a folder, or in a JSON file; None if unknown."""
+def identity_of(out: Path, place: str | Callable[[Path], Any]) -> dict[str, Any] | None:
+    """Return the identity in an output, see `run`; None if unknown."""
     try:
-        content = read_json(out / file if out.is_dir() else out)
+        read = place if callable(place) else read_json
+        content = read(out / place if isinstance(place, str) and out.is_dir() else out)
         content = content.get("identity", content)
         return {name: content[name] for name in FIELDS}
     except (AttributeError, OSError, ValueError, KeyError, TypeError):

@@ -68,6 +68,7 @@ class Call(NamedTuple):
 
 
 Recipe = Generator[Sequence[Call], list[Result], Output]
+Count = Callable[[Result], Mapping[str, int]]  # what progress adds up of a result
 OnProgress = Callable[[str, int, int, Result | None], None]  # stage, done, total, new result
 
 
@@ -76,7 +77,8 @@ def compute(
     memo: Journal | dict[str, Result] | None = None,
     pool: Executor | None = None,
     shard: Shard = WHOLE,
-    on_progress: OnProgress | None = None,
+    progress: Progress | None = None,
+    count: Count | None = None,
 ) -> Output:
     """Drive a recipe to its end and return its output.
 
@@ -86,13 +88,14 @@ def compute(
             forgotten at the end.
         pool: executes the calls; by default they are executed in this process.
         shard: which share of the calls of each batch is computed.
-        on_progress: called with the stage, how many of its items are done and to be done, and the
-            result that was added, or None.
+        progress: shows the stage, and how many of its items are done.
+        count: result -> numbers to add up and show, such as {"reached the goal": 3}.
 
     Raises:
         Failed: results of other shards are missing.
     """
     memo = {} if memo is None else memo
+    show = _shown_on(progress or Progress(quiet=True), count)
     results: list[Result] | None = None
     while True:
         try:
@@ -100,7 +103,7 @@ def compute(
         except StopIteration as end:
             output: Output = end.value
             return output
-        _complete(shard.dealt(calls), memo, pool or InProcess(), on_progress)
+        _complete(shard.dealt(calls), memo, pool or InProcess(), show)
         missing = [index for index, call in enumerate(calls) if call.key not in memo]
         if missing:
             recipe.close()
@@ -126,8 +129,8 @@ def run(
     is_folder: bool = True,
     prepare: Callable[[Progress, Executor], None] | None = None,
     pool: Callable[[], AbstractContextManager[Executor]] | None = None,
-    count: Callable[[Result], Mapping[str, int]] | None = None,
-    made_by: Callable[[Path], Mapping[str, Any] | None] = identity_of,
+    count: Count | None = None,
+    identity_in: str | Callable[[Path], Any] = "manifest.json",
 ) -> Path:
     """Make an output and return it; a shard returns its journal.
 
@@ -139,8 +142,9 @@ def run(
             files that are read is ever replaced, and a change of one stops the publication.
         prepare: called with the executor before the work, for example to compile kernels.
         pool: opens the executor; by default that of the options.
-        count: result -> numbers to add up and show, such as {"reached the goal": 3}.
-        made_by: path of an output -> the identity of its run, or None.
+        count: as in `compute`.
+        identity_in: the JSON file in a folder that holds the identity of its run, or what reads
+            that from the path of an output.
 
     Raises:
         Occupied: the output exists, another run is making it, or an interrupted one left work.
@@ -150,7 +154,7 @@ def run(
     """
     began, shard = time.perf_counter(), options.shard
     with Progress(options.quiet) if progress is None else nullcontext(progress) as shown:
-        if shard.is_whole and _is_finished(out, identity, options, made_by):
+        if shard.is_whole and _is_finished(out, identity, options, identity_in):
             if staging_folder(out).exists():  # it was killed after moving its output into place
                 with staged(out, identity, options) as (folder, _):
                     remove(folder)
@@ -169,12 +173,12 @@ def run(
             free()  # another may have made it before this one had the lock
             if options.resume and journal.is_empty:
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
-            place, show = folder / "made" / out.name, shown_on(shown, count)
+            place = folder / "made" / out.name
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
                 if prepare is not None:
                     prepare(shown, workers)
                 try:
-                    summary = compute(recipe(place), journal, workers, shard, show)
+                    summary = compute(recipe(place), journal, workers, shard, shown, count)
                 except _Missing as missing:
                     summary = f"{shard} is done as far as it can be; {missing}"
                     if journal.is_empty:
@@ -269,7 +273,7 @@ def _is_finished(
     out: Path,
     identity: Mapping[str, Any],
     existing: Existing,
-    made_by: Callable[[Path], Mapping[str, Any] | None] = identity_of,
+    identity_in: str | Callable[[Path], Any],
 ) -> bool:
     """Whether `out` is already the finished output of the run to resume.
 
@@ -278,7 +282,7 @@ def _is_finished(
     """
     # A run that was interrupted while it replaced an older output isn't finished.
     replaces = existing.overwrite and has_work(staging_folder(out) / "journal")
-    there = made_by(out) if existing.resume and not replaces else None
+    there = identity_of(out, identity_in) if existing.resume and not replaces else None
     if there is None:
         return False
     found = list(differences(dict(there), dict(identity)))
@@ -294,21 +298,20 @@ def _complete(
     calls: Sequence[Call],
     memo: Journal | dict[str, Result],
     pool: Executor,
-    on_progress: OnProgress | None,
+    show: OnProgress,
 ) -> None:
     """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
-    tell = on_progress or (lambda *_: None)
     left, done, total = [], 0, sum(call.items for call in calls)
     for call in calls:
         if call.key in memo:
             done += call.items
-            tell(_stage(call), done, total, memo[call.key])
+            show(_stage(call), done, total, memo[call.key])
         else:
             left.append(call)
     waiting, running = iter(left), dict[Future[Result], Call]()
     ahead = _AHEAD * int(getattr(pool, "workers", 4)) if not isinstance(pool, InProcess) else 1
     if left:
-        tell(_stage(left[0]), done, total, None)
+        show(_stage(left[0]), done, total, None)
     while True:
         for call in islice(waiting, ahead - len(running)):
             running[pool.submit(call.function, *call.arguments)] = call
@@ -318,7 +321,7 @@ def _complete(
             call, result = running.pop(future), future.result()
             memo[call.key] = result
             done += call.items
-            tell(_stage(call), done, total, result)
+            show(_stage(call), done, total, result)
 
 
 def _stage(call: Call) -> str:
@@ -330,9 +333,7 @@ def _stage(call: Call) -> str:
     return call.key.rpartition(" ")[0] or call.key
 
 
-def shown_on(
-    progress: Progress, count: Callable[[Result], Mapping[str, int]] | None = None
-) -> OnProgress:
+def _shown_on(progress: Progress, count: Count | None) -> OnProgress:
     """Return what shows the progress of `compute`, with the sums of what `count` returns."""
     totals: Counter[str] = Counter()
 

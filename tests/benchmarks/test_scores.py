@@ -11,7 +11,7 @@ from knotgym.common import InvalidFile, Table
 from knotgym.control import PolicyConfig, PullPlannerConfig
 from knotgym.datasets import RECORDED
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, result_of
+from knotgym.generate import EvaluateConfig, Result
 from knotgym.runs import cluster_interval, identity
 
 from ..scripts import ROOT
@@ -40,7 +40,7 @@ def told(
         "diverged": count > 0,
     }
     played = Table(RECORDED.only(*columns), columns)
-    results = [asdict(result_of(policy.policy, "pull", task, played))]
+    results = [asdict(Result.of(policy.policy, "pull", task, played))]
     path.write_text(json.dumps({**identity(config), "learners": {}, "results": results}))
     return path
 

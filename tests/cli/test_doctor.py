@@ -9,7 +9,7 @@ from ..small_job import knotgym
 
 @pytest.mark.thorough
 def test_every_digest_of_the_list_is_as_recorded() -> None:
-    assert dict(doctor_command.measured()) == doctor_command.EXPECTED
+    assert dict(doctor_command._measured()) == doctor_command.EXPECTED
 
 
 @pytest.mark.parametrize("wrong", [None, "picture"])
@@ -17,7 +17,7 @@ def test_what_differs_is_said_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], wrong: str | None
 ) -> None:
     found = {**doctor_command.EXPECTED, **({wrong: "0" * 12} if wrong else {})}
-    monkeypatch.setattr(doctor_command, "measured", lambda: iter(found.items()))
+    monkeypatch.setattr(doctor_command, "_measured", lambda: iter(found.items()))
     assert knotgym("doctor") == (1 if wrong else 0)
     out, err = capsys.readouterr()
     assert out.count("ok ") == (11 if wrong else 12) and "numba" in out

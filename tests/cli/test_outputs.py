@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from knotgym.runs import Journal, staging_folder
+from knotgym.runs import RunOptions, staged
 
-from ..small_job import knotgym
+from ..small_job import knotgym, staging_of
 
 ID = "knotgym/tie-nx2/random-v0"
 
@@ -157,20 +157,20 @@ def test_what_exists_is_refused_in_one_line_and_stays(
 def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
     name: str, typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    staged = staging_folder(output_of(name, tmp_path))
-    staged.mkdir()
-    with Journal(staged / "journal", {"of": "another run"}) as journal:
+    out = output_of(name, tmp_path)
+    left = staging_of(out)
+    with staged(out, {"of": "another run"}, RunOptions()) as (_, journal):
         journal["one"] = {"result": np.zeros(3)}
     for more in ((), ("--overwrite",)):
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()
         assert "interrupted run" in line and "--resume" in line and "--restart" in line
-        assert (staged / "journal/one.npz").is_file()
+        assert (left / "journal/one.npz").is_file()
     assert typed(name, "--resume") == 2  # a journal of another run
     capfd.readouterr()
-    shutil.rmtree(staged)
+    shutil.rmtree(left)
     (tmp_path / "mine").mkdir()
-    staged.symlink_to(tmp_path / "mine")
+    left.symlink_to(tmp_path / "mine")
     for more in ((), ("--resume",), ("--restart",), ("--overwrite",)):
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()

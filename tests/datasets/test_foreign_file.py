@@ -9,14 +9,15 @@ import pytest
 
 from knotgym.common import InvalidFile
 from knotgym.datasets.located import try_files
-from knotgym.runs import InProcess
+from knotgym.runs import executor
 
 
 def test_a_sound_file_and_one_that_is_no_hdf5_pass(states_path: str, tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_text("text")
     os.mkfifo(tmp_path / "pipe.h5")
     paths = [Path(states_path), *(tmp_path / name for name in ("a.h5", "pipe.h5", "none"))]
-    try_files(paths, InProcess())
+    with executor(1) as pool:
+        try_files(paths, pool)
 
 
 @pytest.mark.parametrize(("ends", "said"), [(BrokenProcessPool, "crash"), (TimeoutError, "hang")])
@@ -25,8 +26,7 @@ def test_a_crash_and_a_hang_are_one_line(
 ) -> None:
     future: Future[None] = Future()
     future.set_exception(ends())
-    monkeypatch.setattr(InProcess, "submit", lambda *_: future)
-    with pytest.raises(
-        InvalidFile, match=rf"{Path(states_path).name} makes the HDF5 library {said}"
-    ):
-        try_files([Path(states_path)], InProcess())
+    message = rf"{Path(states_path).name} makes the HDF5 library {said}"
+    with executor(1) as pool, pytest.raises(InvalidFile, match=message):
+        monkeypatch.setattr(pool, "submit", lambda *_: future)
+        try_files([Path(states_path)], pool)

@@ -36,6 +36,7 @@ SCRIPTS = [
 ]
 MODULES = [
     FOLDER / "perception" / "pictures.py",
+    FOLDER / "perception" / "strand_loss.py",
 ]  # what the scripts share
 
 with_arrow = pytest.mark.skipif(

@@ -6,8 +6,8 @@ import pytest
 
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, evaluate, scores_in
-from knotgym.generate.episodes.comparison import difference
+from knotgym.generate import EvaluateConfig, evaluate
+from knotgym.generate.episodes.comparison import difference, scores_in
 from knotgym.runs import RunOptions
 
 from ..small_job import knotgym

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common import KnotgymError, Table, read_tables, write_tables
+from knotgym.common import KnotgymError, Table, from_json, read_tables, write_tables
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry, recounted
+from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry
 from knotgym.generate.episodes import entries
-from knotgym.runs import RunOptions, Shard
+from knotgym.generate.episodes.entries import Entry
+from knotgym.runs import RunOptions
 
 from ..small_job import knotgym
 
@@ -35,8 +36,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 def rows_of(path: Path) -> tuple[list[Result], list[str]]:
     """What replaying an entry counts, and its faults."""
-    found = [*recounted(read_entry(path))]
-    return [result for result, _ in found], [fault for _, faults in found for fault in faults]
+    found, faults = zip(*entry_at(path).recounted(), strict=True)
+    return [*found], [one for own in faults for one in own]
+
+
+def entry_at(path: Path) -> Entry:
+    entry = read_entry(path)
+    assert entry is not None
+    return entry
 
 
 def test_replaying_counts_what_was_counted(made: Made) -> None:
@@ -45,7 +52,7 @@ def test_replaying_counts_what_was_counted(made: Made) -> None:
     assert not faults and results[0].success_rate > results[1].success_rate
     claimed = {"planned_actions": 0.0}
     assert [asdict(one) for one in found] == [asdict(one) | claimed for one in results]
-    said = read_entry(path).claimed
+    said = entry_at(path).claimed
     assert said[0]["simulated_per_pull"] > 0 == said[1]["simulated_per_pull"]
     assert said[0]["files"] and said[0]["plans"] and not said[1]["plans"]
 
@@ -60,14 +67,14 @@ def test_an_entry_claims_what_the_module_of_its_policy_says(
     task = ("--task", "tie", "--nx", 2, "--engine", "chain", "--set", "task.horizon=2")
     words = ("--policy", "claiming:act", *task, "--episodes", 1, "--workers", 1, "--quiet")
     assert knotgym("evaluate", *words, "--record", "entry.h5") == 0
-    (claimed,) = read_entry(Path("entry.h5")).claimed
+    (claimed,) = entry_at(Path("entry.h5")).claimed
     assert claimed["training"] == card and claimed["command"] and "commit" in claimed
     (tmp_path / "wrong.py").write_text(text.replace("'none'", "{1, 2}"))
     assert knotgym("evaluate", "--policy", "wrong:act", *words[2:], "--record", "w.h5") == 2
 
 
 def test_a_step_takes_at_most_sixteen_bytes(made: Made) -> None:
-    pulls, fixed = read_entry(made[0]).pulls.rows, 16_000  # what HDF5 takes for a file's structure
+    pulls, fixed = entry_at(made[0]).pulls.rows, 16_000  # what HDF5 takes for a file's structure
     assert made[0].stat().st_size < 16 * pulls + fixed
 
 
@@ -154,7 +161,7 @@ def test_a_forgery_is_refused_in_one_line(name: str, made: Made, tmp_path: Path)
 
 def test_one_byte_changed_is_refused_or_without_effect(made: Made, tmp_path: Path) -> None:
     data, path, rng = made[0].read_bytes(), tmp_path / "changed.h5", np.random.default_rng(0)
-    whole, refused = read_entry(made[0]), 0
+    whole, refused = entry_at(made[0]), 0
     for place in rng.integers(len(data), size=300).tolist():
         changed = bytearray(data)
         changed[place] ^= int(rng.integers(1, 256))
@@ -162,6 +169,8 @@ def test_one_byte_changed_is_refused_or_without_effect(made: Made, tmp_path: Pat
         try:
             entry = read_entry(path)
         except KnotgymError:
+            entry = None
+        if entry is None:  # it is refused, or says no more that it is an entry
             refused += 1
             continue
         assert entry.config == whole.config and entry.claimed == whole.claimed
@@ -171,6 +180,6 @@ def test_one_byte_changed_is_refused_or_without_effect(made: Made, tmp_path: Pat
 
 
 def test_a_shard_is_no_entry(tmp_path: Path) -> None:
-    options = RunOptions(workers=1, quiet=True, shard=Shard(1, 2))
+    options = from_json(RunOptions, {"workers": 1, "quiet": True, "shard": "1/2"})
     with pytest.raises(KnotgymError, match="no entry"):
         evaluate(CONFIG, options, out=tmp_path / "a.json", record=tmp_path / "entry.h5")

@@ -10,16 +10,16 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from knotgym.common import InvalidInput, InvalidPolicy, Stream, sha256
+from knotgym.common import InvalidInput, InvalidPolicy, Stream, from_json, sha256
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.evaluate import evaluate, film, report
+from knotgym.generate.episodes.evaluate import _report, evaluate, film
 from knotgym.generate.episodes.results import show
 from knotgym.rope import RopeConfig
-from knotgym.runs import RunOptions, Shard, identity
+from knotgym.runs import RunOptions, identity
 from knotgym.states import States, write_states
 
 from ..small_job import knotgym
@@ -62,7 +62,7 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -
     made = config()
     results = evaluate(made, QUIET, out=tmp_path / "r.json")
     held = json.loads((tmp_path / "r.json").read_text())
-    assert held == json.loads(json.dumps(report(made, results, identity(made))))
+    assert held == json.loads(json.dumps(_report(made, results, identity(made))))
     low, high = held["interval"]
     assert 0 <= low <= held["success_rate"] <= high <= 1
     assert held["config"]["seed"] == 0 and held["config"]["policies"][0]["policy"] == "random"
@@ -77,21 +77,24 @@ def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_shard_and_resuming_need_an_output() -> None:
-    for options in (replace(QUIET, shard=Shard(1, 3)), replace(QUIET, resume=True)):
+    for options in (
+        from_json(RunOptions, {"quiet": True, "shard": "1/3"}),
+        replace(QUIET, resume=True),
+    ):
         with pytest.raises(InvalidInput, match="the --out of the evaluation"):
             evaluate(config(), options)
 
 
 def test_a_finished_evaluation_is_only_shown(tmp_path: Path, monkeypatch: Any) -> None:
     first = evaluate(config(), QUIET, out=tmp_path / "r.json")
-    monkeypatch.setattr(evaluating, "play", None)
+    monkeypatch.setattr(evaluating, "_play", None)
     assert evaluate(config(), replace(QUIET, resume=True), out=tmp_path / "r.json") == first
     with pytest.raises(InvalidInput, match="config.seed is 0 there and 1 here"):
         evaluate(config(seed=1), replace(QUIET, resume=True), out=tmp_path / "r.json")
 
 
 def test_what_does_not_fit_is_refused_before_any_work(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr(evaluating, "play", None)
+    monkeypatch.setattr(evaluating, "_play", None)
     with pytest.raises(InvalidInput, match="no states with nx = 11 in split 'test'"):
         evaluate(config(nx=(1, 11)), QUIET, out=tmp_path / "r.json")
     with pytest.raises(InvalidPolicy, match="must be endless"):
@@ -122,7 +125,7 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     assert not kept & scored
     # learners that train online seed rope i with s + i: below any seed of an evaluation
     assert min(scored) > 2**32
-    played = Episodes.of(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
+    played = Episodes.of(evaluating._play(PolicyConfig(), CHAIN, range(2), 0, True))
     assert played.episodes["seed"].tolist() == [
         Stream.EVALUATION_EPISODE.derived_seed(0, number) for number in range(2)
     ]
@@ -154,7 +157,7 @@ def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> EvaluateConfi
 def test_a_file_swapped_while_episodes_are_played_is_refused(
     own_policy: EvaluateConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file, play = tmp_path / "scored_policy.py", evaluating.play
+    file, play = tmp_path / "scored_policy.py", evaluating._play
     digest = sha256(file)
     assert identity(own_policy)["source"]["policies"] == {"scored_policy:act": {file.name: digest}}
 
@@ -162,7 +165,7 @@ def test_a_file_swapped_while_episodes_are_played_is_refused(
         file.write_text("act = lambda seen: [0.25] * 6\n")
         return play(*arguments)
 
-    monkeypatch.setattr(evaluating, "play", swap)
+    monkeypatch.setattr(evaluating, "_play", swap)
     with pytest.raises(InvalidInput, match=r"changed while it ran.*scored_policy\.py"):
         evaluate(own_policy, QUIET, out=tmp_path / "r.json")
     assert not (tmp_path / "r.json").exists()

@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common import Failed, InvalidInput, Stream
+from knotgym.common import Failed, InvalidInput, Stream, from_json
 from knotgym.control import dataset_faults
 from knotgym.datasets import Episodes, open_episodes
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
 from knotgym.generate.states.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.states.play_source import coil, ropes_of, rows_of_ropes
+from knotgym.generate.states.play_source import PhasedPulls, _ropes_of, rows_of_ropes
 from knotgym.generate.states.state_recipe import make_states
 from knotgym.generate.states.state_rows import Selection, judge
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope import Rope
-from knotgym.runs import Result, RunOptions, Shard, compute
+from knotgym.runs import Result, RunOptions, compute
 from knotgym.states import SOURCES, States, pairs_within, read_states
 from knotgym.topology import GaussCode, label
 
@@ -134,7 +134,7 @@ def test_every_row_is_recomputed_and_replays_bit_for_bit(
 @pytest.mark.parametrize("source", ["played", "walked"])
 def test_the_splits_share_no_rope(source: str, request: pytest.FixtureRequest) -> None:
     states = states_in(request.getfixturevalue(source))
-    ropes = np.array(ropes_of(states.table))
+    ropes = np.array(_ropes_of(states.table))
     train, test = (set(ropes[states.split == split].tolist()) for split in ("train", "test"))
     assert train and test and not train & test
     found = Counter(zip(states.nx.tolist(), states.split.tolist(), strict=True))
@@ -160,7 +160,11 @@ def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) 
     memory = dict[str, Result]()
     for number in (1, 2):
         with contextlib.suppress(Failed):  # results of the other are missing
-            compute(source(config, {}), memory, shard=Shard(number, 2))
+            compute(
+                source(config, {}),
+                memory,
+                shard=from_json(RunOptions, {"shard": f"{number}/2"}).shard,
+            )
     assert len(memory)
     assert same(compute(source(config, {}), memory), compute(source(config, {})))
 
@@ -240,7 +244,7 @@ def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_count
 
     monkeypatch.setattr(demonstrations, "_demonstrate", stub)
     config = replace(DRAWN, demonstrations=True)
-    sets = compute(demonstrations.demonstrated(config, states, len(states), drawn / "states.h5"))
+    sets = compute(demonstrations._demonstrated(config, states, len(states), drawn / "states.h5"))
     rows = [one.episodes.episodes for one in sets]
     seeds = {int(row["goal"][k]): row["seed"][k] for row in rows for k in range(row.rows)}
     assert seeds == {0: 0, 1: 3, 2: 0}
@@ -252,7 +256,7 @@ def test_starts_of_demonstrations_are_apart_from_the_set_and_from_the_other_spli
 ) -> None:
     states = read_states(drawn / "states.h5")
     train = states.replaced({"split": np.full(len(states), "train")})
-    starts, split = compute(demonstrations.start_rows(DRAWN, train))
+    starts, split = compute(demonstrations._start_rows(DRAWN, train))
     assert set(split.tolist()) == {"train", "test"}
     assert pairs_within(starts["points"], train.points) == []
     sides = [starts["points"][split == name] for name in ("train", "test")]
@@ -260,7 +264,7 @@ def test_starts_of_demonstrations_are_apart_from_the_set_and_from_the_other_spli
 
 
 def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPatch) -> None:
-    coiled, loop = coil(rope), rope.loop()
+    coiled, loop = PhasedPulls.coil(rope), rope.loop()
     assert judge(loop, [LEGIBLE, UNTWISTED]).faults == []
     assert "crossing_angle" in judge(coiled, [LEGIBLE]).faults
     assert judge(loop, [Limits(total_curvature=0.9)]).faults == ["total_curvature"]
@@ -291,6 +295,6 @@ def test_a_code_that_is_given_up_leaves_its_places_to_others() -> None:
 
 
 def test_the_coil_is_as_small_as_the_published_one(rope: Rope) -> None:
-    points = coil(rope)
+    points = PhasedPulls.coil(rope)
     radius = np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert label(points).nx == 1 and 0.10 < radius < 0.12

@@ -16,7 +16,7 @@ from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import FILE, Episodes, open_episodes, write_episodes
 from knotgym.generate.episodes import suite as module
 from knotgym.generate.episodes.collect import run_facts
-from knotgym.generate.episodes.suite import SETUPS, describe_set, make_suite
+from knotgym.generate.episodes.suite import SETUPS, _describe_set, make_suite
 from knotgym.generate.episodes.suite_config import POLICIES, SPLITS, STATES, SuiteConfig
 from knotgym.runs import RunOptions
 
@@ -88,7 +88,7 @@ def test_a_set_whose_actions_were_zeroed_is_not_the_same(made: Path, tmp_path: P
     steps = source.episodes.steps
     forged = Episodes(source.episodes.episodes, steps.replaced(force=np.zeros_like(steps["force"])))
     write_episodes(data / FILE, [forged], source.task, source.facts)
-    assert describe_set(tmp_path / "expert-v0")["recorded"] == "differs from episode 0"
+    assert _describe_set(tmp_path / "expert-v0")["recorded"] == "differs from episode 0"
 
 
 @pytest.mark.parametrize("column", ["action", "reward", "terminated", "macro_side"])
@@ -99,7 +99,7 @@ def test_a_set_whose_other_columns_were_changed_is_not_the_same(
     with h5py.File(data / FILE, "a") as file:
         stored = file[f"steps/{column}"]
         stored[1] = ~stored[1] if stored.dtype == bool else -stored[1] - 1
-    assert describe_set(tmp_path / "expert-v0")["recorded"].startswith("differs from")
+    assert _describe_set(tmp_path / "expert-v0")["recorded"].startswith("differs from")
 
 
 def test_finished_sets_are_kept_and_the_missing_ones_made(made: Path, tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_a_machine_that_simulates_otherwise_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def other(made: Path) -> dict[str, Any]:
-        return {**describe_set(made), "recorded": "differs from episode 1"}
+        return {**_describe_set(made), "recorded": "differs from episode 1"}
 
     monkeypatch.setattr(module, "describe_set", other)
     few = replace(PART, policies=("random",), episodes={"random": 1})

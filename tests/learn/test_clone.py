@@ -105,8 +105,7 @@ def test_demonstrations_are_made_on_the_way_by_any_number_of_workers(tmp_path: P
 
 
 def test_examples_lead_where_they_say_in_any_frame_and_numbering() -> None:
-    from knotgym.learn.searched_passes import demonstrate
-    from knotgym.learn.training_data import Examples
+    from knotgym.learn.training_data import Examples, demonstrate
 
     config = replace(CLONE, demonstrations=24, copies=3, nx=(1,), states="bench")
     data = Examples(**demonstrate(config, "tie", 1, 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,8 @@ from knotgym.rendering import photograph
 from knotgym.states import States, read_states, shipped
 from knotgym.topology import GaussCode, Symmetry, find_crossings, images, label
 
+from ..scripts import ROOT
+
 pytestmark = pytest.mark.clients
 pytest.importorskip("safetensors")
 torch = pytest.importorskip("torch")
@@ -23,22 +26,18 @@ torch = pytest.importorskip("torch")
 from knotgym.learn.checkpoint import policy_folder  # noqa: E402
 from knotgym.learn.rope_reader import (  # noqa: E402
     Maps,
+    _read_maps,
+    _turned_back,
     load_rope_reader,
-    read_maps,
-    turned_back,
 )
-from knotgym.learn.strand_network import (  # noqa: E402
-    CELL,
-    ORIENTATIONS,
-    Fields,
-    lifted_lines,
-)
+from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields  # noqa: E402
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 Array = NDArray[np.float64]
 SIDE = 256
+lifted_lines: Any = runpy.run_path(str(ROOT / "examples/perception/strand_loss.py"))["lifted_lines"]
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +81,7 @@ def drawn(points: Array) -> Maps:
 def test_drawn_lines_are_walked_through_their_crossings(states: States, nx: int) -> None:
     right = 0
     for row in states.rows(nx, "train")[:8]:
-        found = read_maps(drawn(states.points[row]))
+        found = _read_maps(drawn(states.points[row]))
         right += found is not None and same_diagram(found[1], label(states.points[row]))
     assert right >= 7  # of 8: strands that nearly touch may be exchanged
 
@@ -105,7 +104,7 @@ def test_fields_of_turned_pictures_are_turned_back(states: States) -> None:
             seen[..., 0] = SIDE - seen[..., 0]
             along[0], twice[1] = -along[0], -twice[1]
         for turns in range(4):
-            back = turned_back(fields(seen, along, twice), turns, flip)
+            back = _turned_back(fields(seen, along, twice), turns, flip)
             for name in ("lines", "upper", "along"):
                 off = (getattr(back, name) - getattr(plain, name)).abs().max()
                 assert off < 0.1, (name, turns, flip)

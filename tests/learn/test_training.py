@@ -16,9 +16,9 @@ import pytest
 from knotgym.cli import main
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
 from knotgym.datasets import Episodes
-from knotgym.runs import staging_folder
 from knotgym.states import shipped
 
+from ..small_job import staging_of
 from .conftest import CLONE, READER, TASK, published, train, weights
 
 pytestmark = pytest.mark.clients
@@ -51,7 +51,7 @@ def test_an_interrupted_training_ends_with_the_same_weights(
     train([data], out, config, resume=True)
     assert weights(out) == weights(whole)
     assert (out / "policy.json").read_bytes() == (whole / "policy.json").read_bytes()
-    assert not staging_folder(out).exists()
+    assert not staging_of(out).exists()
     train([data], out, config, resume=True)  # it is finished already
 
 

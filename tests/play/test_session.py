@@ -14,7 +14,8 @@ from knotgym.datasets import open_episodes
 from knotgym.envs import TaskConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.session import Session
-from knotgym.runs import staging_folder
+
+from ..small_job import staging_of
 
 TASK = TaskConfig(task="tie", nx=1, observation="state", horizon=6)
 PULLS = ((3, (1, 0, 0.5)), (40, (-1, 0.2, 0)), (77, (0, 0.7, -1)))
@@ -103,7 +104,7 @@ def test_a_killed_session_loses_nothing_and_stores_nothing_twice(
             pass
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
         assert recorder.recovered == 0
-    assert stored(recorder) == 2 and not staging_folder(recorder.folder).exists()
+    assert stored(recorder) == 2 and not staging_of(recorder.folder).exists()
 
 
 def test_an_episode_whose_storing_failed_has_its_last_pull_when_it_is_recovered(

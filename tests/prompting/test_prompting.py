@@ -21,8 +21,9 @@ from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
 from knotgym.prompting.prompts import first
 from knotgym.prompting.transcripts import read_transcripts, reading_scores
-from knotgym.runs import RunOptions, staging_folder
+from knotgym.runs import RunOptions
 
+from ..small_job import staging_of
 from .chat_server import Answer, ChatServer, hashes, kinds
 
 pytest.importorskip("openai")
@@ -148,7 +149,7 @@ def test_a_run_is_resumed_and_the_key_is_nowhere(tmp_path: Path) -> None:
     files = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
     everything = b"".join(files) + str(refused.value).encode()
     assert KEY.encode() not in everything and b"[key]" in everything
-    assert not staging_folder(out).exists()
+    assert not staging_of(out).exists()
 
 
 FILTERED: Any = (400, {}, json.dumps({"error": {"message": "no", "code": "content_filter"}}))

@@ -46,7 +46,8 @@ def toy(place: Path) -> Recipe[str]:
 
 def made_toy(out: Path, options: RunOptions) -> Path:
     identity = Identity({"config": {"toy": 0}})
-    return run(toy, out, identity, options, made_by=lambda at: identity if at.exists() else None)
+    whole = {**dict.fromkeys(("source", "versions", "rope")), **identity}
+    return run(toy, out, identity, options, identity_in=lambda at: at.exists() and whole)
 
 
 CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=5)

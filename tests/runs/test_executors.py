@@ -59,7 +59,7 @@ def on(scheduler: str) -> RunOptions:
 def test_a_scheduler_that_does_not_answer_is_one_line(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("knotgym.runs.dask_executor.TIMEOUT", 1.0)
+    monkeypatch.setattr("knotgym.runs.executors.TIMEOUT", 1.0)
     with pytest.raises(InvalidInput, match="no Dask scheduler with workers answers at"):
         RECIPES["toy"](tmp_path / "a", on(address))
 

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from knotgym.rope import warn_of_compilation
-from knotgym.runs.compilation import compile_first
+from knotgym.runs.executors import compile_first
 from knotgym.runs.progress import Progress
 
 

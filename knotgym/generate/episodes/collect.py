@@ -42,7 +42,6 @@ from knotgym.generate.episodes.recordings import RECORDINGS, rebuilt
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.rope import CHAIN, MUJOCO
 from knotgym.runs import (
-    FIELDS,
     Call,
     Progress,
     Recipe,
@@ -170,7 +169,7 @@ def collect(
             plan=compile_planning if config.policy.plans else None,
         ),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
-        made_by=_identity_of,
+        identity_in=lambda folder: run_facts(folder / "data" / FILE),
     )
 
 
@@ -330,14 +329,6 @@ def run_facts(dataset: Path) -> Mapping[str, Any]:
     if not isinstance(facts, dict):
         raise InvalidFile(f"{dataset} says nothing about the run that made it")
     return facts
-
-
-def _identity_of(folder: Path) -> Mapping[str, Any] | None:
-    try:
-        facts = run_facts(folder / "data" / FILE)
-        return {name: facts[name] for name in FIELDS}
-    except (OSError, ValueError, KeyError):
-        return None
 
 
 def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata:

@@ -13,12 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from knotgym.common import InvalidFile, InvalidInput, as_json, one_line
-from knotgym.generate.episodes.entries import (
-    is_entry,
-    read_entry,
-    recounted,
-    states_digests,
-)
+from knotgym.generate.episodes.entries import read_entry, states_digests
 from knotgym.generate.episodes.results import Result, evaluation_in
 from knotgym.runs import Difference, difference_interval, narrow_table
 
@@ -50,18 +45,14 @@ def scores_in(path: Path) -> list[Score]:
     Raises:
         InvalidFile: it is neither, or an entry doesn't replay.
     """
-    if is_entry(path):
-        entry = read_entry(path)
+    if entry := read_entry(path):
         results = list[Result]()
-        for one, faults in recounted(entry):
+        for one, faults in entry.recounted():
             if faults:
                 raise InvalidFile(f"{path}: {faults[0]}")
             results.append(one)
-        config, digests, claimed = (
-            as_json(entry.config),
-            states_digests(entry.config),
-            entry.claimed,
-        )
+        config, digests = as_json(entry.config), states_digests(entry.config)
+        claimed = entry.claimed
     else:
         with evaluation_in(path) as (content, found):
             config, digests = content["config"], (content["source"] or {}).get("states", {})
@@ -107,10 +98,7 @@ def compare(paths: Sequence[Path], console: Console) -> None:
         InvalidFile: as `scores_in`.
         InvalidInput: no two results are of one cell.
     """
-    scores, cells = (
-        [one for path in paths for one in scores_in(path)],
-        dict[str, list[Score]](),
-    )
+    scores, cells = [one for path in paths for one in scores_in(path)], dict[str, list[Score]]()
     for one in scores:
         cells.setdefault(one.cell, []).append(one)
     if all(len(own) < 2 for own in cells.values()):

@@ -42,15 +42,15 @@ from knotgym.common import (
     write_tables,
 )
 from knotgym.control import replay
-from knotgym.datasets import PULLS, RECORDED, Episodes
+from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.recordings import DIGEST, digests
-from knotgym.generate.episodes.results import Result, result_of
+from knotgym.generate.episodes.recordings import DIGEST, digests, episodes_with, pulls_of
+from knotgym.generate.episodes.results import Result, show
 from knotgym.rope import MUJOCO, RopeConfig
+from knotgym.runs import Progress, executor
 from knotgym.runs import Result as Kept
-from knotgym.runs import executor
 from knotgym.states import is_bundled, resolve_states
 
 FORMAT, VERSION = "knotgym-entry", 1
@@ -79,6 +79,45 @@ class Entry(NamedTuple):
     pulls: Table
     claimed: list[dict[str, Any]]
 
+    def __str__(self) -> str:
+        return f"{self.rows.rows} episodes of {self.pulls.rows} pulls, all replayed"
+
+    def faults(self, progress: Progress) -> Iterator[str]:
+        """Replay all episodes, show what they score beside what is claimed, and yield faults."""
+        results = list[Result]()
+        for result, faults in self.recounted():
+            results.append(result)
+            yield from faults
+        show(results, progress.console, self.config.task.engine)
+        for number, claimed in enumerate(self.claimed, 1):
+            progress.say(one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
+
+    def recounted(self) -> Iterator[tuple[Result, list[str]]]:
+        """Replay: yield the result of each setup, and its faults."""
+        config, lengths, first = self.config, self.rows["length"].astype(np.int64), 0
+        ends = np.concatenate([[0], np.cumsum(lengths)])
+        # the chain engine replays an entry sooner than workers start
+        with executor(0 if config.task.engine == MUJOCO else 1) as pool:
+            for setup, (policy, task) in enumerate(config.setups()):
+                few = blocks(config.episodes, task, policy.plans)
+                bounds = [(first + one.start, first + one.stop) for one in few]
+                rows = [self.rows.take(slice(*own)) for own in bounds]
+                pulls = [self.pulls.take(slice(*ends[[*own]])) for own in bounds]
+                stream = Stream.EVALUATION_EPISODE
+                seeds = [[stream.derived_seed(config.seed, k) for k in one] for one in few]
+                made = pool.map(_replayed, [task] * len(few), seeds, rows, pulls)
+                columns = [*map(dict[str, Any], made)]
+                wrong = np.concatenate([one.pop("wrong") for one in columns])
+                faults = [
+                    f"setup {setup + 1}, episode {k}: replayed, it ends otherwise or comes through"
+                    " other states"
+                    for k in np.flatnonzero(wrong).tolist()
+                ]
+                action = str(self.claimed[setup].get("action", ""))
+                played = Episodes.merged([Episodes.of(one) for one in columns]).episodes
+                yield Result.of(policy.policy, action, task, played), faults
+                first += config.episodes
+
 
 def write_entry(
     path: Path, config: EvaluateConfig, played: Sequence[Episodes], claimed: list[dict[str, Any]]
@@ -86,12 +125,10 @@ def write_entry(
     """Write the episodes of all setups, played with all columns of steps, to a file."""
     rows, pulls = list[Table](), list[Table]()
     for one in played:
-        made = np.ones(one.steps.rows, dtype=bool)
-        made[one.last()] = False  # no pull is made in the last state
         lengths: NDArray[Any] = one.episodes["length"].astype(np.uint32)
         own: dict[str, NDArray[Any]] = {"length": lengths, "digest": digests(one)}
         rows.append(Table(ROWS, own))
-        pulls.append(Table(PULLED, {c.name: one.steps[c.name][made] for c in PULLED.columns}))
+        pulls.append(Table(PULLED, pulls_of(one)))
     said = {
         "config": as_json(config),
         "states": states_digests(config),
@@ -102,17 +139,14 @@ def write_entry(
     write_tables(path, [rows, pulls], said, format=FORMAT, version=VERSION, pack=True)
 
 
-def is_entry(path: Path) -> bool:
-    """Check whether a path is a file that says that it is an entry."""
-    return path.is_file() and format_of(path) == FORMAT
-
-
-def read_entry(path: Path) -> Entry:
-    """Read an entry.
+def read_entry(path: Path) -> Entry | None:
+    """Read an entry; None if it isn't a file that says that it is one.
 
     Raises:
         InvalidFile: it is damaged, changed, incomplete, or made with other states or another rope.
     """
+    if not (path.is_file() and format_of(path) == FORMAT):
+        return None
     (rows, pulls), said = read_tables(path, ROWS, PULLED, format=FORMAT, version=VERSION)
     if said.pop("digest", None) != _digest(said, [rows], [pulls]):
         raise InvalidFile(f"{path}: its columns and attributes don't match its digest")
@@ -144,56 +178,10 @@ def read_entry(path: Path) -> Entry:
     return Entry(config, rows, pulls, claimed)
 
 
-def recounted(entry: Entry) -> Iterator[tuple[Result, list[str]]]:
-    """Replay an entry: yield the result of each setup and its faults."""
-    config, first = entry.config, 0
-    ends = np.cumsum(entry.rows["length"]).tolist()
-    # the chain engine replays an entry sooner than workers start
-    with executor(0 if config.task.engine == MUJOCO else 1) as pool:
-        for setup, (policy, task) in enumerate(config.setups()):
-            few = blocks(config.episodes, task, policy.plans)
-            numbers = [range(first + one.start, first + one.stop) for one in few]
-            pulled = [
-                slice(ends[own.start] - int(entry.rows["length"][own.start]), ends[own.stop - 1])
-                for own in numbers
-            ]
-            rows = [entry.rows.take(slice(own.start, own.stop)) for own in numbers]
-            pulls = [entry.pulls.take(own) for own in pulled]
-            seeds = [
-                [Stream.EVALUATION_EPISODE.derived_seed(config.seed, k) for k in one] for one in few
-            ]
-            made = [
-                *map(dict[str, Any], pool.map(_replayed, [task] * len(few), seeds, rows, pulls))
-            ]
-            wrong = np.concatenate([one.pop("wrong") for one in made])
-            faults = [
-                f"setup {setup + 1}, episode {k}: replayed, it ends otherwise or comes through"
-                " other states"
-                for k in np.flatnonzero(wrong).tolist()
-            ]
-            action = str(entry.claimed[setup].get("action", ""))
-            episodes = Episodes.merged([Episodes.of(one) for one in made]).episodes
-            yield result_of(policy.policy, action, task, episodes), faults
-            first += config.episodes
-
-
 def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> Kept:
     """Play episodes again; return their columns, and which aren't as recorded, bool (n,)."""
     lengths = rows["length"].astype(np.int64)
-    whole = PULLS.only("bead", "force").empty(int(lengths.sum()) + rows.rows)
-    # a pull a row here, a state a row there: the last state of an episode has none
-    at = np.arange(pulls.rows) + np.repeat(np.arange(rows.rows), lengths)
-    for name, values in whole.items():
-        values[at] = pulls[name]
-    columns: dict[str, NDArray[Any]] = {
-        "length": lengths,
-        "planner_steps": np.zeros(rows.rows, np.int64),
-        "policy": np.full(rows.rows, "recorded"),
-    }
-    given = Episodes(
-        Table(RECORDED.only(*columns), columns), Table(PULLS.only("bead", "force"), whole)
-    )
-    made = replay(given, task, seeds)
+    made = replay(episodes_with(lengths, pulls, "recorded"), task, seeds)
     wrong = (made.episodes["length"] != lengths) | (digests(made) != rows["digest"]).any(axis=1)
     return {**made._replace(steps=made.steps.only("bead")).columns(), "wrong": wrong}
 

@@ -25,7 +25,7 @@ from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.entries import write_entry
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.results import Result, evaluation_in, result_of, show
+from knotgym.generate.episodes.results import Result, evaluation_in, show
 from knotgym.runs import (
     Call,
     Progress,
@@ -36,7 +36,6 @@ from knotgym.runs import (
     compute,
     executor,
     identity,
-    shown_on,
 )
 from knotgym.runs import Result as Kept
 from knotgym.runs import run as run_recipe
@@ -48,7 +47,7 @@ _TRAINING = (
 )
 
 
-def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whole: bool) -> Kept:
+def _play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whole: bool) -> Kept:
     """Play a block of episodes.
 
     Args:
@@ -72,7 +71,7 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
     calls = [
         Call(
             f"episodes of setup {setup} {few.start}-{few.stop - 1}{', recorded' * recorded}",
-            play,
+            _play,
             (*one, few, config.seed, recorded),
             len(few),
         )
@@ -80,7 +79,7 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
         for few in own
     ]
     films = [
-        Call(f"film {setup}", play, (*one, range(filmed), config.seed, True), filmed)
+        Call(f"film {setup}", _play, (*one, range(filmed), config.seed, True), filmed)
         for setup, one in enumerate(setups, 1)
         if filmed
     ]
@@ -88,7 +87,7 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
     rest = iter(parts)
     played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
     results = [
-        result_of(
+        Result.of(
             policy.policy, make_policy(policy).compatible_task(task).action, task, one.episodes
         )
         for (policy, task), one in zip(setups, played, strict=True)
@@ -126,7 +125,7 @@ def evaluate(
     Args:
         config: what to evaluate.
         options: how to execute the run; with `resume`, a finished evaluation is only printed.
-        out: JSON file to write, see `report`; a shard writes its journal beside it.
+        out: JSON file to write, see `_report`; a shard writes its journal beside it.
         video: film to write, of `config.filmed` episodes per setup.
         record: entry to write, see `entries`.
         progress: where progress is shown.
@@ -152,7 +151,7 @@ def evaluate(
     _require_playable(config)
     made_by, results, films = identity(config), list[Result](), list[Episodes]()
 
-    def recipe(place: Path | None) -> Recipe[str]:
+    def _recipe(place: Path | None) -> Recipe[str]:
         nonlocal results, films
         for more in (one for one in (video, record) if one is not None):
             require_output(more, folder=False, overwrite=options.overwrite, reads=made_by.reads)
@@ -165,17 +164,17 @@ def evaluate(
             with atomic_write(record, overwrite=options.overwrite) as temporary:
                 write_entry(temporary, config, played, _claims(config, results, made_by))
         if place is not None:
-            text = as_text(report(config, results, made_by))
+            text = _as_text(_report(config, results, made_by))
             place.write_text(text, encoding="utf-8")
         return f"{len(results)} results of {config.episodes} episodes each"
 
     if out is None:
         with executor(options.workers) as pool:
             compile_first(progress, config.task.engine, pool=pool)
-            compute(recipe(None), pool=pool, on_progress=shown_on(progress, _reached))
+            compute(_recipe(None), pool=pool, progress=progress, count=_reached)
     else:
         run_recipe(
-            recipe,
+            _recipe,
             out,
             made_by,
             options,
@@ -238,7 +237,7 @@ def _commit() -> str:
         return ""
 
 
-def report(
+def _report(
     config: EvaluateConfig, results: Sequence[Result], made_by: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the content of the result file.
@@ -275,9 +274,9 @@ def _totals(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def as_text(report: dict[str, Any]) -> str:
+def _as_text(content: dict[str, Any]) -> str:
     """Format a report as JSON, with each list of numbers on one line."""
-    text = json.dumps(report, indent=1)
+    text = json.dumps(content, indent=1)
     return re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text) + "\n"
 
 

@@ -171,25 +171,17 @@ def recordings(path: Path = RECORDINGS) -> Mapping[str, Recording]:
     sets = attributes.get("sets")
     if not isinstance(sets, dict) or lengths.sum() != steps.rows:
         raise InvalidFile(f"{path}: its episodes don't fit its pulls")
-    # a pull a row here, a state a row there: the last state of an episode has none
-    offsets = np.concatenate([[0], np.cumsum(lengths + 1)])
-    at = np.arange(steps.rows) + np.repeat(np.arange(len(lengths)), lengths)
+    ends = np.concatenate([[0], np.cumsum(lengths)])
     found, first = dict[str, Recording](), 0
     try:
         for name, one in sets.items():
             config, last = from_json(CollectConfig, one["config"]), first + one["episodes"]
-            own = slice(first, last)
-            mine = (at >= offsets[first]) & (at < offsets[last])
-            whole = PULLS.empty(int(offsets[last] - offsets[first]))
-            for column, values in whole.items():
-                given = steps[column][mine]
-                exact = quantized(given / FORCE_BINS) if column == "force" else given
-                values[at[mine] - offsets[first]] = exact
-            columns = {"length": lengths[own], "planner_steps": np.zeros(last - first, np.int64)}
-            columns["policy"] = np.full(last - first, config.policy.policy)
-            episodes = Table(RECORDED.only(*columns), columns)
-            pulls = Episodes(episodes, Table(PULLS, whole))
-            found[name] = Recording(config, pulls, rows["digest"][own])
+            pulls = steps.take(slice(ends[first], ends[last])).only(
+                *(c.name for c in PULLS.columns)
+            )
+            exact = {**pulls, "force": quantized(pulls["force"] / FORCE_BINS)}
+            episodes = episodes_with(lengths[first:last], exact, config.policy.policy)
+            found[name] = Recording(config, episodes, rows["digest"][first:last])
             first = last
     except (KeyError, TypeError, IndexError) as error:
         raise InvalidFile(f"{path}: its list of sets is damaged: {error!r}") from error
@@ -202,13 +194,32 @@ def write_recordings(path: Path, all_sets: Sequence[Recording]) -> None:
     """Write recordings to a file; the same recordings give the same bytes."""
     rows, steps, sets = list[Table](), list[Table](), dict[str, Any]()
     for one in sorted(all_sets, key=lambda one: one.config.dataset_id):
-        length, pulls = one.episodes.episodes["length"], one.episodes.steps
-        taken = np.ones(pulls.rows, dtype=bool)
-        taken[one.episodes.last()] = False
-        columns = {c.name: pulls[c.name][taken].astype(c.dtype) for c in STEPS.columns[2:]}
-        columns["bead"] = pulls["bead"][taken].astype(np.uint8)
-        columns["force"] = np.rint(pulls["force"][taken] * FORCE_BINS).astype(np.int8)
+        length, made = one.episodes.episodes["length"], pulls_of(one.episodes)
+        columns = {c.name: made[c.name].astype(c.dtype) for c in STEPS.columns if c.name != "force"}
+        columns["force"] = np.rint(made["force"] * FORCE_BINS).astype(np.int8)
         steps.append(Table(STEPS, columns))
         rows.append(Table(EPISODES, {"length": length.astype(np.uint16), "digest": one.digests}))
         sets[one.config.dataset_id] = {"config": as_json(one.config), "episodes": len(length)}
     write_tables(path, [rows, steps], {"sets": sets}, format=FORMAT, pack=True)
+
+
+def pulls_of(episodes: Episodes) -> Table:
+    """Return the rows of steps in which a pull is made: all but the last of each episode."""
+    made = np.ones(episodes.steps.rows, dtype=bool)
+    made[episodes.last()] = False
+    return episodes.steps.take(made)
+
+
+def episodes_with(
+    lengths: NDArray[np.int64], pulls: Mapping[str, NDArray[Any]], policy: str
+) -> Episodes:
+    """Return episodes of so many pulls each, to be repeated; `pulls_of` returns these again."""
+    whole = PULLS.only(*pulls)
+    steps = whole.empty(int(lengths.sum()) + len(lengths))
+    # a pull a row here, a state a row there: the last state of an episode has none
+    at = np.arange(int(lengths.sum())) + np.repeat(np.arange(len(lengths)), lengths)
+    for name, values in steps.items():
+        values[at] = pulls[name]
+    columns = {"length": lengths, "planner_steps": np.zeros_like(lengths)}
+    columns["policy"] = np.full(len(lengths), policy)
+    return Episodes(Table(RECORDED.only(*columns), columns), Table(whole, steps))

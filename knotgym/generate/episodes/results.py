@@ -71,6 +71,41 @@ class Result:
         if lengths != {self.episodes} or max(self.outcomes["success"]) > 1:
             raise InvalidInput("outcomes aren't columns of one whole number an episode")
 
+    @classmethod
+    def of(cls, policy: str, action: str, task: TaskConfig, played: Table) -> "Result":
+        """Return the result of a setup.
+
+        Args:
+            policy: name of the policy.
+            action: view that it acts in.
+            task: the environment.
+            played: rows of the episodes.
+        """
+        success, length = played["success"], played["length"]
+        named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
+        listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
+        low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
+        (starts, goals), *_ = task_sides(task)
+        return cls(
+            policy=policy,
+            task=task.tasks[0],
+            nx=task.crossings[0],
+            split=task.split,
+            action=action,
+            episodes=played.rows,
+            successes=int(success.sum()),
+            success_rate=float(success.mean()),
+            low=low,
+            high=high,
+            steps=float(length[success].mean()) if success.any() else None,
+            mean_return=float(played["return_"].mean()),
+            planned_actions=float(played["planner_steps"].mean()),
+            simulation_failures=int(played["diverged"].sum()),
+            start_states=starts.origin,
+            goal_states=goals.origin,
+            outcomes=listed,
+        )
+
 
 @contextmanager
 def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
@@ -86,41 +121,6 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
         raise InvalidFile(
             f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
         ) from error
-
-
-def result_of(policy: str, action: str, task: TaskConfig, played: Table) -> Result:
-    """Return the result of a setup.
-
-    Args:
-        policy: name of the policy.
-        action: view that it acts in.
-        task: the environment.
-        played: rows of the episodes.
-    """
-    success, length = played["success"], played["length"]
-    named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
-    listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
-    low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
-    (starts, goals), *_ = task_sides(task)
-    return Result(
-        policy=policy,
-        task=task.tasks[0],
-        nx=task.crossings[0],
-        split=task.split,
-        action=action,
-        episodes=played.rows,
-        successes=int(success.sum()),
-        success_rate=float(success.mean()),
-        low=low,
-        high=high,
-        steps=float(length[success].mean()) if success.any() else None,
-        mean_return=float(played["return_"].mean()),
-        planned_actions=float(played["planner_steps"].mean()),
-        simulation_failures=int(played["diverged"].sum()),
-        start_states=starts.origin,
-        goal_states=goals.origin,
-        outcomes=listed,
-    )
 
 
 def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:

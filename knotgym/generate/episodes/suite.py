@@ -131,10 +131,10 @@ def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
     parts = [replace(whole, engine=engine) for engine in ENGINES]
     parts += [replace(whole, states=(BENCH,), size=size) for size in SIZES]
     ids = [one.dataset_id for part in parts for one in part.sets()]
-    return {name: describe_set(root / name) for name in ids if (root / name).exists()}
+    return {name: _describe_set(root / name) for name in ids if (root / name).exists()}
 
 
-def describe_set(made: Path) -> dict[str, Any]:
+def _describe_set(made: Path) -> dict[str, Any]:
     """Describe a finished dataset that `collect` or the suite made.
 
     Args:

@@ -103,7 +103,7 @@ def frames_of(
             continue
         rng = Stream.IMAGE_CHOICE.generator(config.seed, rope.number, pulls)
         symmetries = rng.integers((2, 2, 2, len(points)), size=(SYMMETRIES, 4))
-        codes = [_shown(points, symmetry_of(one), config) for one in symmetries]
+        codes = [_shown(points, _symmetry_of(one), config) for one in symmetries]
         grade = ease(quality, LEGIBLE)
         row = points, rope.number, pulls, crossings.nx, grade, symmetries, codes, sight
         for column, value in zip(rows.values(), row, strict=True):
@@ -120,7 +120,7 @@ def frames_of(
     }
 
 
-def symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
+def _symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
     """Return the symmetry whose fields are reflect, switch, reverse and base_shift."""
     *flags, base_shift = fields.tolist()
     reflect, switch, reverse = map(bool, flags)
@@ -241,7 +241,7 @@ class Chooser:
         if not able:
             return self._refuse("no code wanted")
         _, index, code = min(able)
-        symmetry = symmetry_of(frames["symmetries"][row, index])
+        symmetry = _symmetry_of(frames["symmetries"][row, index])
         points = symmetry.vertices(frames["points"][row])
         if not self._is_new(points, split):
             return self._refuse("near-duplicate")

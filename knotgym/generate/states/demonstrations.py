@@ -19,10 +19,10 @@ from knotgym.datasets import STARTS, Episodes, MinariMetadata, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.drawing_source import CALLS, drawn_rows, splits_of
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_rows import joined
+from knotgym.generate.states.state_rows import joined, states_of
 from knotgym.rope import CHAIN, MUJOCO
 from knotgym.runs import Call, Recipe, Result
-from knotgym.states import STATE_SPLITS, States
+from knotgym.states import STATE_SPLITS, States, write_states
 from knotgym.topology import UNKNOT, diagram_of, type_of
 
 HORIZON = 200  # actions, more than any demonstration needs
@@ -38,6 +38,35 @@ _HASTY, _SHORT = 2, 60
 _LAST_RESORT = (5000, 5000, 20000, 60000)
 
 
+def demonstrate(
+    config: GenerateConfig, states: States, place: Path, report: dict[str, Any]
+) -> Recipe[States]:
+    """Demonstrate the codes of a set of states, in Minari datasets below the folder `place`.
+
+    Args:
+        config: of the run.
+        states: the set.
+        place: a folder, beside which a file for the workers is written.
+        report: gets the number of demonstrations, and the codes that have none.
+
+    Returns:
+        The states, with where their demonstrations are.
+    """
+    starts, sides = yield from _start_rows(config, states)
+    playing, path = states, place.parent / "with-starts.h5"
+    if starts.rows:
+        further = states_of(starts, sides, states.engine, states.attributes["config"])
+        playing = States(Table.joined([states.table, further.table]), states.attributes)
+    write_states(path, playing)
+    sets = yield from _demonstrated(config, playing, len(states), path)
+    states = _published(sets, config, states, place / "minari", path)
+    shown = states.source["dataset"] != ""
+    report["demonstrations"] = int(shown.sum())
+    lacking = ~shown & np.isin(states.nx, _demonstrated_nx(config))
+    report["undemonstrated"] = np.unique(states.gauss_code[lacking]).tolist()
+    return states
+
+
 class Demonstrated(NamedTuple):
     """The episodes with goals of one nx and split, in the order of the states."""
 
@@ -46,7 +75,7 @@ class Demonstrated(NamedTuple):
     episodes: Episodes
 
 
-def start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, NDArray[np.str_]]]:
+def _start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, NDArray[np.str_]]]:
     """Draw the states that demonstrations start from, where the set itself has none.
 
     The set that ships has plain loops, so ties of the unknot need none.
@@ -84,7 +113,7 @@ def start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, ND
     return joined(parts), np.concatenate(splits)
 
 
-def demonstrated_nx(config: GenerateConfig) -> list[int]:
+def _demonstrated_nx(config: GenerateConfig) -> list[int]:
     """Return the numbers of crossings whose states are demonstrated.
 
     The simplest diagrams of a knot are none; they are the starts. Loops are led to from curls.
@@ -93,7 +122,7 @@ def demonstrated_nx(config: GenerateConfig) -> list[int]:
     return [nx for nx in config.nx if nx > least or not nx]
 
 
-def demonstrated(
+def _demonstrated(
     config: GenerateConfig, states: States, count: int, path: Path
 ) -> Recipe[list[Demonstrated]]:
     """Demonstrate the codes of the first `count` states.
@@ -104,7 +133,7 @@ def demonstrated(
         path: a file with these states, which workers can read.
     """
     made: dict[int, Episodes] = {}
-    kinds = [(nx, split) for nx in demonstrated_nx(config) for split in STATE_SPLITS]
+    kinds = [(nx, split) for nx in _demonstrated_nx(config) for split in STATE_SPLITS]
     tasks = {kind: replace(_task_of(config, *kind), states=str(path)) for kind in kinds}
     goals = {kind: [k for k in states.rows(*kind).tolist() if k < count] for kind in kinds}
     attempt = 0
@@ -193,47 +222,34 @@ def _dataset_id(nx: int, split: str, knot: str) -> str:
     return f"knotgym/{'tie' if nx else 'unknot'}-nx{nx}{knotted}/{name}-v0"
 
 
-def where_demonstrated(
-    config: GenerateConfig, states: States, sets: Sequence[Demonstrated]
-) -> dict[str, NDArray[Any]]:
-    """Return the columns of provenance that locate the states' demonstrations.
-
-    Args:
-        config: of the run.
-        states: the set.
-        sets: its demonstrations.
-    """
-    dataset = [""] * len(states)
-    trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
-    for nx, split, episodes in sets:
-        for number, goal in enumerate(episodes.episodes["goal"].tolist()):
-            dataset[goal] = _dataset_id(nx, split, type_of(config.knot))
-            trajectory[goal], step[goal] = number, episodes.episodes["length"][number]
-    columns = {"dataset": np.array(dataset), "trajectory": trajectory, "step": step}
-    return {f"source/{name}": values for name, values in columns.items()}
-
-
-def publish_demonstrations(
-    sets: Sequence[Demonstrated], config: GenerateConfig, root: Path, states: Path
-) -> None:
-    """Publish each set as a Minari dataset.
+def _published(
+    sets: Sequence[Demonstrated], config: GenerateConfig, states: States, root: Path, path: Path
+) -> States:
+    """Publish each set as a Minari dataset; return the states with where they are demonstrated.
 
     Args:
         sets: the demonstrations.
         config: of the run.
+        states: the set.
         root: Minari root to write below.
-        states: file of the states that they were reset from.
+        path: file of the states that they were reset from.
     """
-    knot = type_of(config.knot)
+    knot, dataset = type_of(config.knot), [""] * len(states)
+    trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
     for nx, split, episodes in sets:
+        rows, name = episodes.episodes, _dataset_id(nx, split, knot)
         metadata = MinariMetadata(
-            dataset_id=_dataset_id(nx, split, knot),
+            dataset_id=name,
             algorithm_name="expert",
             description=(
-                f"Episodes of the expert that end in the Gauss codes of {episodes.episodes.rows}"
+                f"Episodes of the expert that end in the Gauss codes of {rows.rows}"
                 f" rope states with {nx} crossings, those of the {split} split. An episode ends"
                 " where the rope first shows the code of its goal; the goal itself, another"
                 " configuration of that code, is in general not reached."
             ),
         )
-        publish([episodes], _task_of(config, nx, split), metadata, root, states=states)
+        publish([episodes], _task_of(config, nx, split), metadata, root, states=path)
+        for number, goal in enumerate(rows["goal"].tolist()):
+            dataset[goal], trajectory[goal], step[goal] = name, number, rows["length"][number]
+    columns = {"dataset": np.array(dataset), "trajectory": trajectory, "step": step}
+    return states.replaced({f"source/{name}": values for name, values in columns.items()})

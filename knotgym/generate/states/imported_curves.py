@@ -132,7 +132,7 @@ def _candidate(curve: Array, rounds: int, code: GaussCode, rope: Rope) -> Array 
         rough = rope.from_curve(curve, max_overlap=np.inf if rounds else 0.001)
     except InvalidInput:
         return None
-    points = relaxed(rough, rounds, rope) if rounds else rough
+    points = _relaxed(rough, rounds, rope) if rounds else rough
     return points if points is not None and label(points) == code else None
 
 
@@ -160,7 +160,7 @@ _MOST = 0.15
 _PASSES = 8  # projection sweeps over the beads per iteration
 
 
-def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
+def _relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
     """Relax a configuration.
 
     Args:

@@ -86,6 +86,15 @@ class PhasedPulls(Policy):
         self.frames: list[_Frame] = []
         self.actions = np.zeros((len(keys), config.pulls, 6), dtype=np.float32)
 
+    @staticmethod
+    def coil(rope: Rope) -> Array:
+        """Return a coil of two turns, one crossing, radius of gyration 0.11 m, as (beads, 3)."""
+        at = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+        # a torus curve (2, 1): twice round the hole, once through it
+        radius = 1 + 0.25 * np.cos(at)
+        curve = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.25 * np.sin(at)]
+        return rope.from_curve(np.stack(curve, axis=1))
+
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
         return task
 
@@ -104,16 +113,7 @@ class PhasedPulls(Policy):
         return self
 
 
-def coil(rope: Rope) -> Array:
-    """Return a coil of two turns, one crossing, radius of gyration 0.11 m: float64 (beads, 3)."""
-    at = np.linspace(0, 2 * np.pi, 400, endpoint=False)
-    # a torus curve (2, 1): twice round the hole, once through it
-    radius = 1 + 0.25 * np.cos(at)
-    curve = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.25 * np.sin(at)]
-    return rope.from_curve(np.stack(curve, axis=1))
-
-
-def pulled_ropes(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> PhasedPulls:
+def _pulled_ropes(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> PhasedPulls:
     """Pull ropes in phases, side by side; each rollout depends on its own key alone.
 
     Args:
@@ -123,7 +123,7 @@ def pulled_ropes(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]
             `drawn_actions(key, config.random)`.
     """
     rope = Rope()
-    start = np.repeat(rope.qpos(coil(rope))[None], len(keys), axis=0)
+    start = np.repeat(rope.qpos(PhasedPulls.coil(rope))[None], len(keys), axis=0)
     if config.settle:
         walk = PlayConfig(
             settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
@@ -279,9 +279,9 @@ def rows_of_ropes(
             rows, reasons = without_report(result)
             for nx, each in reasons:
                 selection.rejected[nx].update(each)
-            for row, rope in enumerate(ropes_of(rows)):
+            for row, rope in enumerate(_ropes_of(rows)):
                 code = GaussCode.parse(str(rows["gauss_code"][row]))
-                split = split_of(config, rope)
+                split = _split_of(config, rope)
                 even = _wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
                 if have[code.nx, split] >= _wanted(config, code.nx, split):
                     continue
@@ -307,7 +307,7 @@ def _wanted(config: GenerateConfig, nx: int, split: str) -> int:
     return train if split == STATE_SPLITS[0] else config.count - train
 
 
-def split_of(config: GenerateConfig, rope: int) -> str:
+def _split_of(config: GenerateConfig, rope: int) -> str:
     """Return the split of a rope's states; ropes alternate to match `train_share`."""
     before, after = (int(np.floor(k * config.train_share + 0.5)) for k in (rope, rope + 1))
     return STATE_SPLITS[0] if after > before else STATE_SPLITS[1]
@@ -315,10 +315,10 @@ def split_of(config: GenerateConfig, rope: int) -> str:
 
 def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
     """Return the split of each row, that of its rope."""
-    return np.array([split_of(config, rope) for rope in ropes_of(rows)])
+    return np.array([_split_of(config, rope) for rope in _ropes_of(rows)])
 
 
-def ropes_of(rows: Table) -> list[int]:
+def _ropes_of(rows: Table) -> list[int]:
     """Return the ropes that rows come from, by their numbers in the run."""
     return [int(seed[2]) for seed in rows["source/seed"]]
 
@@ -348,7 +348,7 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
     pulls = _pulls_of(config)
     ropes = range(first, first + pulls.ropes)
     keys = [_key_of(config, rope) for rope in ropes]
-    pulled = pulled_ropes(pulls, config.engine_used, keys)
+    pulled = _pulled_ropes(pulls, config.engine_used, keys)
     played = config.source == _READABLE
     limits = [config.limits, config.twist] if played else [config.twist]
     rejected = {nx: Counter[str]() for nx in config.nx}
@@ -356,7 +356,7 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
     codes = label_many(np.array([frame.points for frame in pulled.frames])) if pulled.frames else []
     for frame, code in zip(pulled.frames, codes, strict=True):
         rope = ropes[frame.rope]
-        if (code.nx, split_of(config, rope)) not in lacking:
+        if (code.nx, _split_of(config, rope)) not in lacking:
             continue
         if kept[rope, code.nx] == pulls.per_rope:
             continue

@@ -16,13 +16,7 @@ import knotgym
 from knotgym.common import Table, as_json
 from knotgym.control import compile_planning
 from knotgym.datasets import finish_states
-from knotgym.generate.states.demonstrations import (
-    demonstrated,
-    demonstrated_nx,
-    publish_demonstrations,
-    start_rows,
-    where_demonstrated,
-)
+from knotgym.generate.states.demonstrations import demonstrate
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import ROWS, joined, states_of
 from knotgym.runs import Progress, Recipe, RunOptions, compile_first, identity, run
@@ -84,26 +78,10 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
         "knot": type_of(config.knot),
     }
     rows, split = yield from _rows(config, report)
-    engine, facts = config.engine_used, made_by["config"]
-    states = states_of(rows, split, engine, facts)
+    states = states_of(rows, split, config.engine_used, made_by["config"])
     place.mkdir(parents=True)
     if config.demonstrations:
-        # the set and what its demonstrations start from, in a file for the workers
-        starts, sides = yield from start_rows(config, states)
-        playing = states
-        if starts.rows:
-            further = states_of(starts, sides, engine, facts)
-            playing = States(Table.joined([states.table, further.table]), states.attributes)
-        path = place.parent / "with-starts.h5"
-        write_states(path, playing)
-        sets = yield from demonstrated(config, playing, len(states), path)
-        publish_demonstrations(sets, config, place / "minari", path)
-        located = where_demonstrated(config, states, sets)
-        shown = located["source/dataset"] != ""
-        report["demonstrations"] = int(shown.sum())
-        lacking = ~shown & np.isin(states.nx, demonstrated_nx(config))
-        report["undemonstrated"] = np.unique(states.gauss_code[lacking]).tolist()
-        states = states.replaced(located)
+        states = yield from demonstrate(config, states, place, report)
     write_states(place / "states.h5", states)
     finish_states(place, states, report, made_by)
     return _summary(states, report)

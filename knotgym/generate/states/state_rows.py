@@ -58,17 +58,17 @@ def judge(
     crossings = find_crossings(p)
     shown = crossings.code
 
-    def judged(quality: Quality) -> Judgement:
+    def _judged(quality: Quality) -> Judgement:
         missed = [fault for one in limits for fault in one.faults(quality, crossings.nx)]
         return Judgement(shown, quality, list(dict.fromkeys(missed)))
 
-    found = judged(measure(p, crossings, quick=True))
+    found = _judged(measure(p, crossings, quick=True))
     if code is not None and shown != code:
         found.faults.append("code lost at rest")
     if not found.faults:
-        found = judged(measure(p, crossings))
+        found = _judged(measure(p, crossings))
     if not found.faults:
-        found = judged(replace(found.quality, noise_survival=noise_survival(p)))
+        found = _judged(replace(found.quality, noise_survival=noise_survival(p)))
     if not found.faults and pyknotid_code(p) != shown:
         found.faults.append("labellers disagree")
     if not found.faults and code is None and not shows(shown, knot):
