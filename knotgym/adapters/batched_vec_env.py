@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
 from knotgym.common import InvalidInput
-from knotgym.envs import EpisodeBatch, observation_space, task_config
+from knotgym.envs import EpisodeBatch, Observer, TaskConfig
 from knotgym.rope import action_space
 
 Indices = int | Iterable[int] | None
@@ -24,12 +24,12 @@ class BatchedVecEnv(VecEnv):
     def __init__(
         self, task: str, num_envs: int, threads: int, goals: bool, settings: dict[str, Any]
     ) -> None:
-        config = task_config(task, {**({"failure_reward": 0.0} if goals else {}), **settings})
+        config = TaskConfig.of(task, {**({"failure_reward": 0.0} if goals else {}), **settings})
         self.render_mode = "rgb_array"
         self.num_envs = num_envs
         self.episodes = EpisodeBatch(config, num_envs, threads)
         self.goals = Goals(self.episodes) if goals else None
-        space = self.goals.space if self.goals else observation_space(config)
+        space = self.goals.space if self.goals else Observer(config).space
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._actions: NDArray[Any] = np.empty(0)
         super().__init__(num_envs, space, action_space(config.action, config.beads))

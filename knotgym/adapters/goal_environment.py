@@ -18,11 +18,9 @@ from knotgym.envs import (
     SYMBOLS,
     EpisodeBatch,
     KnotEnv,
+    Observer,
     Situation,
     TaskConfig,
-    cut,
-    observation_space,
-    outcome,
 )
 
 
@@ -88,7 +86,7 @@ class Goals:
                 f" {task.hold} and {task.failure_reward}"
             )
         self.episodes = episodes
-        self._began = cut(episodes.visits)
+        self._began = Observer.symbols(episodes.visits)
         goal = spaces.Box(-SYMBOLS, SYMBOLS, (1 + SYMBOLS,), np.int16)
         self.space = spaces.Dict(
             {"observation": rope_space(task), "achieved_goal": goal, "desired_goal": goal}
@@ -96,7 +94,7 @@ class Goals:
 
     def begin(self, ids: NDArray[np.int64]) -> None:
         """Store the first codes of the episodes `ids`, which have just begun."""
-        self._began[ids] = cut(self.episodes.visits[ids])
+        self._began[ids] = Observer.symbols(self.episodes.visits[ids])
 
     def observations(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """Return the observations of the episodes `ids`: arrays (n, ...)."""
@@ -118,20 +116,20 @@ class Goals:
         held = ((achieved == desired).all(axis=1) & (desired[:, 0] == 1)).astype(np.int64)
         # hold is 1, and no failure is paid: which step it is, and whether it failed, don't matter
         seen = Situation(achieved[:, 1:], desired[:, 1:], held, 1, np.ones_like(held))
-        rewards = outcome(self.episodes.task, seen).rewards.reshape(pair[0].shape[:-1])
+        rewards = seen.outcome(self.episodes.task).rewards.reshape(pair[0].shape[:-1])
         return rewards if rewards.ndim else float(rewards)
 
     def _count(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which codes that ropes show may count as a success."""
         episodes = self.episodes
-        same = (cut(episodes.visits[ids]) == self._began[ids]).all(axis=1)
+        same = (Observer.symbols(episodes.visits[ids]) == self._began[ids]).all(axis=1)
         fits = 2 * episodes.crossings[ids] <= SYMBOLS
         return ~same & fits & ~episodes.towed[ids] & ~episodes.failed[ids]
 
 
 def rope_space(config: TaskConfig) -> spaces.Box:
     """Return the space of the rope's half of an observation."""
-    whole: Any = observation_space(config)
+    whole: Any = Observer(config).space
     return spaces.Box(halves(whole.low)[0], halves(whole.high)[0], dtype=whole.dtype)
 
 
@@ -158,4 +156,4 @@ def require_one_side(config: TaskConfig) -> None:
 
 
 def _encoded(visits: NDArray[np.int16], count: NDArray[np.bool_]) -> NDArray[np.int16]:
-    return np.concatenate([count[:, None].astype(np.int16), cut(visits)], axis=1)
+    return np.concatenate([count[:, None].astype(np.int16), Observer.symbols(visits)], axis=1)

@@ -67,7 +67,7 @@ def _measured() -> Iterator[tuple[str, str]]:
     """Yield the name and the digest of each row of `EXPECTED`, in its order."""
     from knotgym.control import PolicyConfig, make_policy, rollouts
     from knotgym.drawing import drawn_curve
-    from knotgym.envs import TaskConfig, join, mark
+    from knotgym.envs import Marked, TaskConfig
     from knotgym.generate import GenerateConfig, make_states
     from knotgym.rendering import draw, photograph
     from knotgym.rope import CHAIN, MUJOCO, EngineName, RopeConfig, simulation_of
@@ -107,7 +107,7 @@ def _measured() -> Iterator[tuple[str, str]]:
     task = TaskConfig(task="tie", nx=2, engine=CHAIN)
     played = rollouts(make_policy(PolicyConfig(policy="expert")), task, [0, 1])
     yield "expert's episode", _digest(played.steps["action"], played.steps["observation"])
-    yield "marked observations", _digest(join(mark(states.points, [code] * len(states))))
+    yield "marked observations", _digest(Marked.of(states.points, [code] * len(states)).joined())
 
 
 def _digest(*values: Any) -> str:

@@ -340,20 +340,22 @@ def _minari_episodes(
 def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     """Return an episode's observations by path."""
     # needs OpenCV
-    from knotgym.envs import alone, looks, observe, picture_config, pixels
+    from knotgym.envs import Observer
 
-    task, (own, table), offsets = dataset.task, dataset.episodes, dataset.episodes.offsets
+    observer, (own, table), offsets = (
+        Observer(dataset.task),
+        dataset.episodes,
+        dataset.episodes.offsets,
+    )
     rows = slice(offsets[k], offsets[k + 1])
     points, visits = table["observation"][rows].astype(np.float64), table["visits"][rows]
     goal, wanted = own["goal_points"][k].astype(np.float64), own["goal_visits"][[k] * len(visits)]
 
     def pictures() -> NDArray[np.uint8]:
-        picture, own_look = picture_config(task), looks(task, [(int(own["goal"][k]), goal)])
-        shown = alone(goal[None], own_look, picture)[0]
-        many = len(points)
-        return pixels(points, [shown] * many, picture, looks=own_look * many)
+        look, many = observer.looks([(int(own["goal"][k]), goal)]), len(points)
+        return observer.pixels(points, [observer.alone(goal[None], look)[0]] * many, look * many)
 
-    shown = observe(task, points, visits, goal, wanted, pictures)
+    shown = observer.observe(points, visits, goal, wanted, pictures)
     if not isinstance(shown, dict):
         return {"observations": shown}
     return {f"observations/{name}": array for name, array in shown.items()}
@@ -450,7 +452,7 @@ def _bounds(task: TaskConfig) -> str:
     """
     from minari.serialization import serialize_space
 
-    from knotgym.envs import observation_space
+    from knotgym.envs import Observer
 
-    bounds = serialize_space(observation_space(task), to_string=False)
+    bounds = serialize_space(Observer(task).space, to_string=False)
     return json.dumps(bounds, separators=(",", ":"))

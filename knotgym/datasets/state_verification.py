@@ -32,7 +32,7 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
-from knotgym.envs import MAX_BEADS, MIN_BEADS
+from knotgym.envs import BEADS
 from knotgym.rope import ENGINES, MUJOCO, Array, Rope, RopeConfig, drawn_actions, simulation
 from knotgym.states import (
     SOURCES,
@@ -63,7 +63,7 @@ _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would 
 def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
     made_for, beads = states.attributes.get("rope"), states.points.shape[1]
-    if not MIN_BEADS <= beads <= MAX_BEADS or RopeConfig.of(beads).fingerprint != made_for:
+    if beads not in BEADS or RopeConfig.of(beads).fingerprint != made_for:
         yield f"rope model {made_for} is not this version's, {RopeConfig().fingerprint}"
         return
     if states.engine not in ENGINES:

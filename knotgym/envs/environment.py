@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import observation_space
-from knotgym.envs.tasks import TaskConfig, UnknownKeyword
+from knotgym.envs.observations import Observer
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import action_space, warn_of_compilation
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
-        self.config = task_config(task, settings)
+        self.config = TaskConfig.of(task, settings)
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array", "human")
         self._window: PictureWindow | None = None
@@ -88,7 +88,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
 
             self._window = PictureWindow(_FPS)
         self.episodes = EpisodeBatch(self.config)
-        self.observation_space = observation_space(self.config)
+        self.observation_space = Observer(self.config).space
         self.action_space = action_space(self.config.action, self.config.beads)
 
     def reset(
@@ -173,7 +173,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
     ) -> None:
         if max_episode_steps is not None:
             settings.setdefault("horizon", max_episode_steps)
-        self.config = task_config(task, settings)
+        self.config = TaskConfig.of(task, settings)
         if max_episode_steps not in (None, self.config.horizon):
             raise InvalidInput(
                 f"max_episode_steps is {max_episode_steps} and horizon {self.config.horizon}, and"
@@ -185,7 +185,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
-        self.single_observation_space = observation_space(self.config)
+        self.single_observation_space = Observer(self.config).space
         self.single_action_space = action_space(self.config.action, self.config.beads)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -291,23 +291,6 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             array[ids] = column
             infos[name], infos[f"_{name}"] = array, mask.copy()
         return infos
-
-
-def task_config(task: Any, settings: dict[str, Any]) -> TaskConfig:
-    """Return the settings that keywords specify.
-
-    Raises:
-        UnknownKeyword: a keyword is unknown.
-        InvalidInput: a value is invalid.
-    """
-    known = TaskConfig.__dataclass_fields__
-    unknown = [name for name in settings if name not in known]
-    if unknown:
-        raise UnknownKeyword(
-            f"got an unexpected keyword argument {', '.join(map(repr, unknown))}; there is"
-            f" {', '.join(name for name in known if name != 'task')}"
-        )
-    return TaskConfig(task=task, **settings)
 
 
 def _autoreset(mode: str | AutoresetMode) -> tuple[str, str | AutoresetMode]:

@@ -14,17 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Threads
-from knotgym.envs.observations import (
-    SYMBOLS,
-    alone,
-    cut,
-    each,
-    looks,
-    observe,
-    picture_config,
-    pixels,
-)
-from knotgym.envs.reward import Outcome, Situation, outcome, reached
+from knotgym.envs.observations import SYMBOLS, Observer
+from knotgym.envs.reward import Outcome, Situation, reached
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import ActionView, Array, Rope, TowBound, simulation, start_qpos
@@ -73,7 +64,7 @@ class EpisodeBatch:
         self.task, self.count = task, count
         self.simulation = simulation(task.engine, count, Rope(task.rope_config), threads)
         self.view = ActionView(task.action, self.simulation)
-        self._picture = picture_config(task)
+        self._observer = Observer(task)
         self._sides = task_sides(task)
         self.starts, self.goals = (side.states for side in self._sides[0])
         self.rows = {
@@ -261,7 +252,7 @@ class EpisodeBatch:
         self.steps[ids] += 1
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
         codes, counts = (self.visits[ids], self.wanted[ids]), (self.held[ids], self.hold[ids])
-        return outcome(self.task, Situation(*codes, *counts, self.steps[ids], failed, towed))
+        return Situation(*codes, *counts, self.steps[ids], failed, towed).outcome(self.task)
 
     def successes(self, ids: Ids) -> NDArray[np.bool_]:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
@@ -301,10 +292,10 @@ class EpisodeBatch:
         Raises:
             InvalidInput: an action is invalid.
         """
-        from knotgym.envs.marked import frames_of
+        from knotgym.envs.marked import Marked
 
         points = self.simulation.points[ids]
-        checked, frames = view.check(actions, ids), frames_of(points, self.goals_of(ids))
+        checked, frames = view.check(actions, ids), Marked.of(points, self.goals_of(ids)).frames
         return frames.world_actions(view.name, checked, points, self.simulation.rope.config.reach)
 
     def tow_bound(self, index: int, share: float = 1.0) -> TowBound | None:
@@ -332,7 +323,7 @@ class EpisodeBatch:
 
     def observation(self, index: int) -> Any:
         """Return the observation of episode `index`, of the kind `task.observation`."""
-        return each(self.observations(np.array([index])), itemgetter(0))
+        return Observer.each(self.observations(np.array([index])), itemgetter(0))
 
     def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
@@ -347,8 +338,7 @@ class EpisodeBatch:
         return seen
 
     def _observed(self, ids: Ids) -> Any:
-        return observe(
-            self.task,
+        return self._observer.observe(
             self.simulation.points[ids],
             self.visits[ids],
             self.goals.points[self.goal_row[ids]],
@@ -360,7 +350,7 @@ class EpisodeBatch:
         """Return the `info` of episode `index`, the same keys at every step; arrays are copies.
 
         With `numeric_infos` every value is a NumPy array. Codes are int16 (SYMBOLS,), see
-        `observations.cut`; chirality is int16 (SYMBOLS // 2,), one sign per crossing.
+        `Observer.symbols`; chirality is int16 (SYMBOLS // 2,), one sign per crossing.
         """
         return self.info_rows(np.array([index]))[0]
 
@@ -379,6 +369,7 @@ class EpisodeBatch:
         """Return the `info` of the episodes `ids` as arrays (n, ...), which are copies."""
         shown: tuple[Any, Any, Any]
         if self.task.numeric_infos:
+            cut = self._observer.symbols
             signs = cut(self.signs[ids], SYMBOLS // 2)
             shown = cut(self.visits[ids]), signs, cut(self.wanted[ids])
         else:
@@ -429,12 +420,12 @@ class EpisodeBatch:
         goals = self.goal_row[ids].tolist()
         for goal in set(goals) - self._goal_images.keys():
             rope = self.goals.points[[goal]]
-            shown = looks(self.task, [(goal, rope[0])])
-            self._goal_images[goal] = alone(rope, shown, self._picture)[0], shown[0]
+            shown = self._observer.looks([(goal, rope[0])])
+            self._goal_images[goal] = self._observer.alone(rope, shown)[0], shown[0]
         pictures = [self._goal_images[goal][0] for goal in goals]
         own_looks = [self._goal_images[goal][1] for goal in goals]
         points, threads = self.simulation.points[ids], self.simulation.threads
-        return pixels(points, pictures, self._picture, threads, own_looks)
+        return self._observer.pixels(points, pictures, own_looks, threads)
 
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator

@@ -12,7 +12,7 @@ is mapped back to the world:
                   plain loop is walked counterclockwise and starts on the x axis
     origin        the centre of the rope
 
-The observation is one float32 vector; `split` names its parts.
+The observation is one float32 vector; `Marked.split` names its parts.
 
 After a change run `pytest tests/envs/test_marked.py`: all images of a state must look the same.
 """
@@ -158,82 +158,79 @@ class Marked(NamedTuple):
     goal: NDArray[Any]
     frames: CanonicalFrames
 
+    @staticmethod
+    def size(beads: int) -> int:
+        """Return the length of an observation."""
+        # 3 coordinates and 2 marks a bead, 2 numbers a token of either code
+        return 5 * beads + 4 * TOKENS + _FRAME
+
+    @classmethod
+    def of(cls, points: ArrayLike, goals: Sequence[GaussCode], *, canonical: bool = True) -> Marked:
+        """Observe ropes.
+
+        Args:
+            points: (n, beads, 3), metres.
+            goals: n codes; chirality is ignored.
+            canonical: in their canonical frames; else as they lie, only centred.
+        """
+        ropes = np.asarray(points, dtype=np.float64)
+        count, beads = ropes.shape[:2]
+        over, under = np.zeros((2, count, beads), dtype=np.int16)
+        code, goal = np.zeros((2, count, TOKENS, 2), dtype=np.int16)
+        reverse, switch = np.zeros((2, count), dtype=bool)
+        for row, rope in enumerate(ropes):
+            crossings = find_crossings(rope)
+            # a place is a fractional bead, and the end of the last bead is place `beads`
+            for marks, places in ((over, crossings.over_place), (under, crossings.under_place)):
+                np.add.at(marks[row], np.minimum(places.astype(np.int64), beads - 1), 1)
+            shown = goals[row].visits, crossings.code.visits
+            if canonical:
+                reverse[row], switch[row], goal[row], code[row] = _canonical_image(*shown)
+            else:
+                goal[row], code[row] = map(_tokens, shown)
+        marks = np.stack([over, under], axis=2)
+        # switched, what was over is under; reversed, bead b is bead n - 1 - b, and vertices need a
+        # roll
+        marks = np.where(switch[:, None, None], marks[..., ::-1], marks)
+        marks = np.where(reverse[:, None, None], marks[:, ::-1], marks)
+        frames = _frames(ropes, reverse, switch)
+        if not canonical:
+            frames = frames._replace(axes=np.broadcast_to(np.eye(3), frames.axes.shape))
+        return cls(frames.points(ropes), marks, code, goal, frames)
+
+    def joined(self) -> Floats:
+        """Return observations as one array, float32 (n, size(beads))."""
+        frames = self.frames
+        columns = (*self[:4], frames.axes, frames.centres, frames.reverse)
+        rows = [np.reshape(column, (len(self.points), -1)) for column in columns]
+        return np.concatenate(rows, axis=1).astype(np.float32)
+
+    @classmethod
+    def split(cls, observations: ArrayLike) -> Marked:
+        """Return the parts of observations (n, size(beads)); the inverse of `joined`."""
+        rows = np.asarray(observations)
+        count, beads = len(rows), (rows.shape[1] - cls.size(0)) // 5
+        lengths = (3 * beads, 2 * beads, 2 * TOKENS, 2 * TOKENS, 9, 3)
+        points, marks, code, goal, axes, centres, reverse = np.split(
+            rows, np.cumsum(lengths), axis=1
+        )
+        return cls(
+            points.reshape(count, beads, 3),
+            marks.reshape(count, beads, 2),
+            code.reshape(count, TOKENS, 2),
+            goal.reshape(count, TOKENS, 2),
+            CanonicalFrames(
+                axes.reshape(count, 3, 3).astype(np.float64),
+                centres.astype(np.float64),
+                reverse[:, 0] > 0.5,
+            ),
+        )
+
     def rows(self, index: Any) -> Marked:
         """Return some of the observations."""
         points, marks, code, goal = (column[index] for column in self[:4])
         frames = CanonicalFrames(*(column[index] for column in self.frames))
         return Marked(points, marks, code, goal, frames)
-
-
-def size(beads: int) -> int:
-    """Return the length of an observation."""
-    # 3 coordinates and 2 marks a bead, 2 numbers a token of either code
-    return 5 * beads + 4 * TOKENS + _FRAME
-
-
-def mark(points: ArrayLike, goals: Sequence[GaussCode], *, canonical: bool = True) -> Marked:
-    """Observe ropes.
-
-    Args:
-        points: (n, beads, 3), metres.
-        goals: n codes; chirality is ignored.
-        canonical: in their canonical frames; else as they lie, only centred.
-    """
-    ropes = np.asarray(points, dtype=np.float64)
-    count, beads = ropes.shape[:2]
-    over, under = np.zeros((2, count, beads), dtype=np.int16)
-    code, goal = np.zeros((2, count, TOKENS, 2), dtype=np.int16)
-    reverse, switch = np.zeros((2, count), dtype=bool)
-    for row, rope in enumerate(ropes):
-        crossings = find_crossings(rope)
-        # a place is a fractional bead, and the end of the last bead is place `beads`
-        for marks, places in ((over, crossings.over_place), (under, crossings.under_place)):
-            np.add.at(marks[row], np.minimum(places.astype(np.int64), beads - 1), 1)
-        shown = goals[row].visits, crossings.code.visits
-        if canonical:
-            reverse[row], switch[row], goal[row], code[row] = _canonical_image(*shown)
-        else:
-            goal[row], code[row] = map(_tokens, shown)
-    marks = np.stack([over, under], axis=2)
-    # switched, what was over is under; reversed, bead b is bead n - 1 - b (vertices need a roll)
-    marks = np.where(switch[:, None, None], marks[..., ::-1], marks)
-    marks = np.where(reverse[:, None, None], marks[:, ::-1], marks)
-    frames = _frames(ropes, reverse, switch)
-    if not canonical:
-        frames = frames._replace(axes=np.broadcast_to(np.eye(3), frames.axes.shape))
-    return Marked(frames.points(ropes), marks, code, goal, frames)
-
-
-def frames_of(points: ArrayLike, goals: Sequence[GaussCode]) -> CanonicalFrames:
-    """Return the canonical frames of ropes; for arguments see `mark`."""
-    return mark(points, goals).frames
-
-
-def join(parts: Marked) -> Floats:
-    """Return observations as one array, float32 (n, size(beads))."""
-    frames = parts.frames
-    columns = (*parts[:4], frames.axes, frames.centres, frames.reverse)
-    rows = [np.reshape(column, (len(parts.points), -1)) for column in columns]
-    return np.concatenate(rows, axis=1).astype(np.float32)
-
-
-def split(observations: ArrayLike) -> Marked:
-    """Return the parts of observations (n, size(beads)); the inverse of `join`."""
-    rows = np.asarray(observations)
-    count, beads = len(rows), (rows.shape[1] - size(0)) // 5
-    lengths = (3 * beads, 2 * beads, 2 * TOKENS, 2 * TOKENS, 9, 3)
-    points, marks, code, goal, axes, centres, reverse = np.split(rows, np.cumsum(lengths), axis=1)
-    return Marked(
-        points.reshape(count, beads, 3),
-        marks.reshape(count, beads, 2),
-        code.reshape(count, TOKENS, 2),
-        goal.reshape(count, TOKENS, 2),
-        CanonicalFrames(
-            axes.reshape(count, 3, 3).astype(np.float64),
-            centres.astype(np.float64),
-            reverse[:, 0] > 0.5,
-        ),
-    )
 
 
 def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_]) -> CanonicalFrames:

@@ -12,9 +12,9 @@ failure_reward never; its episodes are truncated as above and don't terminate.
 Codes are compared without chirality (`GaussCode.matches`). A step in which the simulation blew up
 never succeeds, and its reward is 0 even at the horizon.
 
-Environments call `outcome`, and so do loaders for goals in hindsight, goal environments for
-`compute_reward`, and `dataset verify`, which plays episodes again: a reward that is changed here is
-changed for all of them. It may depend on the codes of rope and goal.
+Environments call `Situation.outcome`, and so do loaders for goals in hindsight, goal environments
+for `compute_reward`, and `dataset verify`, which plays episodes again: a reward that is changed
+here is changed for all of them. It may depend on the codes of rope and goal.
 """
 
 from __future__ import annotations
@@ -50,6 +50,12 @@ class Situation(NamedTuple):
     failed: ArrayLike = False
     towed: ArrayLike = False
 
+    def outcome(self, task: TaskConfig) -> Outcome:
+        """Return the rewards of n steps and whether they end their episodes."""
+        terminated = reached(self.held, self.hold, self.failed) & (not task.endless)
+        late = (self.steps >= task.horizon) | np.asarray(self.towed) | np.asarray(self.failed)
+        return Outcome(reward(task, self), terminated, truncated=late & ~terminated)
+
 
 class Outcome(NamedTuple):
     """Rewards of n steps, float64 (n,), and whether they end their episodes, bool (n,) each."""
@@ -72,10 +78,3 @@ def reward(task: TaskConfig, seen: Situation) -> NDArray[np.float64]:
     late = ((seen.steps >= task.horizon) | np.asarray(seen.towed)) & ~np.asarray(seen.failed)
     success = reached(seen.held, seen.hold, seen.failed)
     return np.where(success, task.success_reward, np.where(late, failure, 0.0))
-
-
-def outcome(task: TaskConfig, seen: Situation) -> Outcome:
-    """Return the rewards of n steps and whether they end their episodes."""
-    terminated = reached(seen.held, seen.hold, seen.failed) & (not task.endless)
-    late = (seen.steps >= task.horizon) | np.asarray(seen.towed) | np.asarray(seen.failed)
-    return Outcome(reward(task, seen), terminated, truncated=late & ~terminated)

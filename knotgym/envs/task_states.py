@@ -16,15 +16,13 @@ from knotgym.rope import RopeConfig
 from knotgym.states import CODE_SPLITS, States, is_bundled, read_states, resolve_states, shipped
 from knotgym.topology import UNKNOT
 
-OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that ships
-
 
 class TaskSide(NamedTuple):
     """Where a task's starts or goals are sampled from.
 
     Attributes:
         states: all states of the file.
-        origin: OWN or SHIPPED.
+        origin: "own", the user's file, or "shipped", a set that ships.
         nx: crossings of the start or the goal.
         rows: int64 (n,), the rows of the task's split with so many.
     """
@@ -63,7 +61,7 @@ def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     """Return the states of a task with one nx."""
     path = resolve_states(task.states)
     own = _of_our_rope(path, task)
-    starts, goals = (_side(task, path, own, nx) for nx in (start_nx(task, own), task.goal_nx))
+    starts, goals = (_side(task, path, own, nx) for nx in (_start_nx(task, own), task.goal_nx))
     goals = goals._replace(rows=goals.rows[: task.max_goals])
     if len({*starts.knots, *goals.knots}) > 1:
         raise InvalidInput(
@@ -79,7 +77,7 @@ def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     return starts, goals
 
 
-def start_nx(task: TaskConfig, states: States) -> int:
+def _start_nx(task: TaskConfig, states: States) -> int:
     """Return the number of crossings with which episodes of a task start.
 
     A tie starts at the simplest diagram of its goals' knot type: the plain loop for the unknot,
@@ -93,9 +91,9 @@ def start_nx(task: TaskConfig, states: States) -> int:
 
 def _side(task: TaskConfig, path: Path, states: States, nx: int) -> TaskSide:
     """Return the states with nx crossings from which a side of the task is sampled."""
-    origin = SHIPPED if is_bundled(task.states) else OWN
+    origin = "shipped" if is_bundled(task.states) else "own"
     if nx == 0 and not (states.nx == 0).any() and task.beads == RopeConfig().beads:
-        path, origin = shipped(), SHIPPED
+        path, origin = shipped(), "shipped"
         states = _of_our_rope(path, task)
     rows = states.rows(nx, task.split)
     if not len(rows):

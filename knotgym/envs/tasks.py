@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro", "decision")  # see `knotgym.rope.action_views`
-FRAMES = ("world", "canonical")  # see `require_frame`
+FRAMES = ("world", "canonical")  # see `TaskConfig.require_view`
 MOST_STEPS = 100_000  # of an episode; arrays of all steps are made before it begins
-MIN_BEADS, MAX_BEADS = 50, 1000
+BEADS = range(50, 1001)  # that a rope may have
 # parameters of the rope that its states depend on, and those that the keyword `rope` can't set
 _SHAPE = "length", "radius"
 _NOT_OF_ROPE = frozenset({"beads", "sub_chains", "rooted", "timestep", "frame_skip"})
@@ -62,22 +62,6 @@ class UnknownKeyword(InvalidInput, TypeError):
 
     A TypeError in Python's own words, because TorchRL retries without `frameskip` only on these.
     """
-
-
-def max_nx(beads: int) -> int:
-    """Return the largest number of crossings for which a rope of so many beads has room."""
-    return 11 * beads // 100  # a rope of 100 beads hardly has room for more
-
-
-def require_frame(frame: str, observation: str, action: str) -> None:
-    """Raise InvalidInput if observations or actions of these kinds have no canonical frame."""
-    if frame not in FRAMES:
-        raise InvalidInput(f"no frame {frame!r}; there is {', '.join(FRAMES)}")
-    if frame == "canonical" and (observation not in ("state", "marked") or action == "bead"):
-        raise InvalidInput(
-            'frame "canonical" goes with observation "state" or "marked" and any action but "bead",'
-            f" whose forces are of the world; got {observation!r} and {action!r}"
-        )
 
 
 @configuration
@@ -142,7 +126,7 @@ class TaskConfig:
     split: Annotated[str, choice(*STATE_SPLITS, *CODE_SPLITS)] = "train"
     states: Annotated[str, Mark("states")] | None = None
     engine: EngineName = MUJOCO
-    beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
+    beads: Annotated[int, Field(ge=BEADS.start, le=BEADS[-1])] = 100
     rope: dict[str, float] | None = None
     observation: Annotated[str, choice(*OBSERVATIONS)] = "pixels"
     action: Annotated[str, choice(*ACTIONS)] = "pull"
@@ -177,11 +161,9 @@ class TaskConfig:
                 )
             _ = self.rope_config  # refuses values out of range
         PictureConfig(depth=self.depth, renderer=self.renderer)  # type: ignore[arg-type]
-        require_frame(self.frame, self.observation, self.action)
-        if max(self.crossings) > max_nx(self.beads):
-            raise InvalidInput(
-                f"nx must be from 1 to {max_nx(self.beads)} on {self.beads} beads, got {self.nx}"
-            )
+        self.require_view(self.observation, self.action, self.frame)
+        if max(self.crossings) > (most := self.most_nx(self.beads)):
+            raise InvalidInput(f"nx must be from 1 to {most} on {self.beads} beads, got {self.nx}")
         if self.split in CODE_SPLITS and min(self.crossings) < 2:
             raise InvalidInput(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
@@ -202,6 +184,44 @@ class TaskConfig:
             raise InvalidInput(
                 f"hold {self.hold} is longer than the horizon of {self.horizon} steps: no episode"
                 f" could succeed; at most {self.horizon}"
+            )
+
+    @classmethod
+    def of(cls, task: Any, settings: dict[str, Any]) -> TaskConfig:
+        """Return the settings that keywords of an environment specify.
+
+        Raises:
+            UnknownKeyword: a keyword is unknown.
+            InvalidInput: a value is invalid.
+        """
+        known = cls.__dataclass_fields__
+        unknown = [name for name in settings if name not in known]
+        if unknown:
+            raise UnknownKeyword(
+                f"got an unexpected keyword argument {', '.join(map(repr, unknown))}; there is"
+                f" {', '.join(name for name in known if name != 'task')}"
+            )
+        return cls(task=task, **settings)
+
+    @staticmethod
+    def most_nx(beads: int) -> int:
+        """Return the largest number of crossings for which a rope of so many beads has room."""
+        return 11 * beads // 100  # a rope of 100 beads hardly has room for more
+
+    @staticmethod
+    def require_view(observation: str, action: str, frame: str) -> None:
+        """Raise InvalidInput if there are none of these names, or they don't go together."""
+        for name, given, known in (
+            ("observation", observation, OBSERVATIONS),
+            ("action", action, ACTIONS),
+            ("frame", frame, FRAMES),
+        ):
+            if given not in known:
+                raise InvalidInput(f"no {name} {given!r}; there is {', '.join(known)}")
+        if frame == "canonical" and (observation not in ("state", "marked") or action == "bead"):
+            raise InvalidInput(
+                'frame "canonical" goes with observation "state" or "marked" and any action but'
+                f' "bead", whose forces are of the world; got {observation!r} and {action!r}'
             )
 
     @property

@@ -24,7 +24,7 @@ from torch.nn import functional
 
 from knotgym.common import InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, PassValues, Player, Sight
-from knotgym.envs import EpisodeBatch, Marked, TaskConfig, mark
+from knotgym.envs import EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.agent import require_readable
 from knotgym.learn.checkpoint import (
     CARD,
@@ -183,7 +183,7 @@ def _choose_block(
 ) -> NDArray[np.int64]:
     """Choose macro-actions in up to _BLOCK states; missing ones are filled up with zeros."""
     # Always _BLOCK rows, as sums of a network round by the shape of their batch.
-    seen, count = mark(points, goals), len(points)
+    seen, count = Marked.of(points, goals), len(points)
     states = Inputs(*(_filled(one) for one in inputs(seen[:4])))
     with inference():
         looked = network(states)

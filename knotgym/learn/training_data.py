@@ -27,7 +27,7 @@ from knotgym.control import (
     try_pass,
 )
 from knotgym.datasets import Episodes
-from knotgym.envs import EpisodeBatch, TaskConfig, mark
+from knotgym.envs import EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.train_config import CloneConfig
 from knotgym.rope import Array, Pass, RopeConfig
@@ -96,7 +96,7 @@ def examples(
         macros: int64 (n, 3): bead to lead, bead of the strand to pass, +1 over or -1 under.
         worked, episodes: as of `Examples`.
     """
-    seen = mark(points.astype(np.float32), goals)
+    seen = Marked.of(points.astype(np.float32), goals)
     (beads, targets, sides), frames = macros.T, seen.frames
     chosen = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
     marks, code, goal, small = (

@@ -28,10 +28,9 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common import InvalidFile, InvalidInput, Table, Threads, atomic_write, require_own
 from knotgym.datasets import EpisodeDataset, gauss_code
-from knotgym.envs import OBSERVATIONS
 
 if TYPE_CHECKING:
-    from knotgym.envs import CanonicalFrames
+    from knotgym.envs import CanonicalFrames, Observer
     from knotgym.topology import GaussCode
 
 Ids = NDArray[np.int64]
@@ -60,13 +59,9 @@ class DrawnFrames:
             cache: folder for pictures; None to draw them when they are asked for.
 
         Raises:
-            InvalidInput: there is no such observation, or it has no pictures to cache.
+            InvalidInput: the observation has no pictures to cache.
             InvalidFile: the folder can't be written, or is somebody else's.
         """
-        if observation not in OBSERVATIONS:
-            raise InvalidInput(
-                f"observation must be one of {', '.join(OBSERVATIONS)}, got {observation!r}"
-            )
         self._dataset, self.observation, self._picture = dataset, observation, picture
         self._canonical = canonical
         self._rows = dataset.episodes.steps.rows
@@ -194,9 +189,9 @@ class DrawnFrames:
         return self._column(ids, "visits", "goal_visits")
 
     def _symbols(self, ids: Ids) -> NDArray[np.int16]:
-        from knotgym.envs import cut
+        from knotgym.envs import Observer
 
-        return cut(self._codes(ids))[:, None]
+        return Observer.symbols(self._codes(ids))[:, None]
 
     def points(self, ids: Ids) -> NDArray[np.float64]:
         """Return the vertices of frames, float64 (n, beads, 3), metres."""
@@ -206,16 +201,16 @@ class DrawnFrames:
         return [gauss_code(visits) for visits in self._codes(goals)]
 
     def _marked(self, ropes: Ids, goals: Ids) -> NDArray[np.float32]:
-        from knotgym.envs import join, mark
+        from knotgym.envs import Marked
 
-        return join(mark(self.points(ropes), self._goal_codes(goals)))
+        return Marked.of(self.points(ropes), self._goal_codes(goals)).joined()
 
     def frames_of(self, ropes: Ids, goals: Ids, canonical: bool) -> CanonicalFrames:
         """Return the frames of ropes (n,) with goals (n,): canonical, or centred alone."""
-        from knotgym.envs import CanonicalFrames, frames_of
+        from knotgym.envs import CanonicalFrames, Marked
 
         if canonical:
-            return frames_of(self.points(ropes), self._goal_codes(goals))
+            return Marked.of(self.points(ropes), self._goal_codes(goals)).frames
         axes = np.broadcast_to(np.eye(3), (len(ropes), 3, 3))
         centres = self.points(ropes).mean(axis=1)
         return CanonicalFrames(axes, centres, np.zeros(len(ropes), dtype=bool))
@@ -225,30 +220,23 @@ class DrawnFrames:
         return frames.states(self.points(ropes), self.points(goals))
 
     def _drawn(self, ids: Ids) -> NDArray[np.uint8]:
-        # imported here, so that loading vertices doesn't need OpenCV
-        from knotgym.envs import alone
-
         points = self.points(ids)
         of = self._dataset.episodes.offsets
         episodes = np.searchsorted(of, np.minimum(ids, self._rows - 1), side="right") - 1
         episodes = np.where(ids >= self._rows, ids - self._rows, episodes)
-        return alone(points, [self._looks[k] for k in episodes], self._style)
+        return self._observer.alone(points, [self._looks[k] for k in episodes])
 
     @cached_property
     def _looks(self) -> list[Any]:
-        from knotgym.envs import looks
-
         own = self._dataset.episodes.episodes
-        if self._picture is not None:
-            return [None] * own.rows
-        goals = zip(own["goal"].tolist(), own["goal_points"], strict=True)
-        return looks(self._dataset.task, goals)
+        return self._observer.looks(zip(own["goal"].tolist(), own["goal_points"], strict=True))
 
     @cached_property
-    def _style(self) -> Any:
-        from knotgym.envs import picture_config
+    def _observer(self) -> Observer:
+        # imported here, so that loading vertices doesn't need OpenCV
+        from knotgym.envs import Observer
 
-        return self._picture or picture_config(self._dataset.task)
+        return Observer(self._dataset.task, self._picture)
 
     def _cached(self, folder: Path) -> NDArray[np.uint8]:
         """Map the file of pictures, which is written first if need be, 1 ms a picture."""
@@ -281,7 +269,7 @@ class DrawnFrames:
             # from equal pulls, the two engines' states differ
             "states": Table.digest(steps.only("observation")),
             "goals": Table.digest(episodes.only("goal_points", "length")),
-            "picture": asdict(self._style),
+            "picture": asdict(self._observer.picture),
             "looks": [look and asdict(look) for look in self._looks],
             "versions": {"knotgym": knotgym.__version__, "opencv": cv2.__version__},
         }

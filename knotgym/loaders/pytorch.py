@@ -12,7 +12,7 @@ from torch.utils.data import Dataset, IterableDataset
 
 from knotgym.common import Stream
 from knotgym.datasets import read_table
-from knotgym.envs import each
+from knotgym.envs import Observer
 from knotgym.loaders.data_stream import DataStream
 from knotgym.loaders.pictures import Pictures
 from knotgym.loaders.transitions import Transitions
@@ -37,7 +37,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
         if not isinstance(index, (int, np.integer)):
             return self._batch(index)
-        return each(self._batch([index]), itemgetter(0))
+        return Observer.each(self._batch([index]), itemgetter(0))
 
     def _batch(self, index: Sequence[int]) -> dict[str, Any]:
         window, rng = self.transitions.window, None
@@ -47,7 +47,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
             rng = Stream.SAMPLED_GOALS.generator(window.goals.seed, drawn)
         several = self.transitions.batch(index, rng=rng)
         return {
-            name if name in _SEVERAL else name.removesuffix("s"): each(column, _tensor)
+            name if name in _SEVERAL else name.removesuffix("s"): Observer.each(column, _tensor)
             for name, column in several.items()
         }
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, InvalidPolicy
-from knotgym.envs import ACTIONS, OBSERVATIONS, require_frame, split
+from knotgym.common import InvalidPolicy
+from knotgym.envs import Marked, TaskConfig
 from knotgym.rope import LONGEST, NEAR
 
 # Rows that a model is given at a time: a network's sums depend on their number, and an episode must
@@ -50,7 +50,7 @@ class RowPolicy:
             return found
         beads = found[:, :-rest].argmax(axis=1)
         if self.observation == "marked":
-            points = split(observations).points
+            points = Marked.split(observations).points
         else:
             points = observations.reshape(len(observations), 2, -1, 3)[:, 0]
             points = points - points.mean(axis=1, keepdims=True)
@@ -84,13 +84,7 @@ def as_policy(
         InvalidInput: there is no such view.
         InvalidPolicy: the model can't be called.
     """
-    for name, given, known in (
-        ("action", action, ACTIONS),
-        ("observation", observation, OBSERVATIONS),
-    ):
-        if given not in known:
-            raise InvalidInput(f"no {name} {given!r}; there is {', '.join(known)}")
-    require_frame(frame, observation, action)
+    TaskConfig.require_view(observation, action, frame)
     return RowPolicy(_function_of(model), action, frame, observation)
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import SYMBOLS, each
+from knotgym.envs import SYMBOLS, Observer
 from knotgym.rope import chosen_forces, force_choices
 from knotgym.topology import CodeArrays, Symmetry
 
@@ -149,7 +149,7 @@ class Symmetries(Symmetry):
                 made[name] = np.asarray(values)
             else:
                 raise InvalidInput(f"no symmetry is known for {name!r} of a batch; leave it out")
-        return dict(each(made, itemgetter(kept)))
+        return dict(Observer.each(made, itemgetter(kept)))
 
     @property
     def _quarters(self) -> NDArray[np.int64]:
@@ -161,7 +161,7 @@ class Symmetries(Symmetry):
 
     def observations(self, seen: Any) -> Any:
         """Map observations, as `applied` does."""
-        return each(seen, self._observations)
+        return Observer.each(seen, self._observations)
 
     def _observations(self, seen: ArrayLike) -> Array:
         values = np.asarray(seen)

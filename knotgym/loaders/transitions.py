@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Table
 from knotgym.datasets import columns_of, ranges
-from knotgym.envs import ACTIONS, Situation, outcome, reached, require_frame
+from knotgym.envs import Situation, TaskConfig, reached
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
 from knotgym.rope import LONGEST, force_choices, nearest_beads
@@ -154,8 +154,9 @@ class Transitions:
             raise InvalidInput(f"window must be such as Window(n_step=5), got {window!r}")
         goals = window is not None and window.goals is not None
         chunk = window is not None and window.chunk is not None
+        observation = self._opening["observation"] or self.task.observation
+        TaskConfig.require_view(observation, self.action, self.frame)
         refusals = {
-            f"no action {self.action!r}; there is {', '.join(ACTIONS)}": self.action not in ACTIONS,
             f"the expert's actions are pulls: use labels without action {self.action!r}": (
                 self.leads and self._labels
             ),
@@ -186,9 +187,6 @@ class Transitions:
         for refusal, refused in refusals.items():
             if refused:
                 raise InvalidInput(refusal)
-        require_frame(
-            self.frame, self._opening["observation"] or self.task.observation, self.action
-        )
 
     def __reduce__(self) -> Any:
         """Pickle what was opened, so that each process maps the file itself."""
@@ -304,8 +302,8 @@ class Transitions:
         count = np.minimum(count, self.task.horizon - 1)
         seen = Situation(visits[after], visits[goal], shown, self.task.hold, count)
         found = np.zeros(len(after) + len(lengths))
-        found[np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)] = outcome(
-            self.task, seen
+        found[np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)] = seen.outcome(
+            self.task
         ).rewards
         return found
 

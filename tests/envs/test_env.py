@@ -18,7 +18,7 @@ from knotgym.common import Failed, InvalidInput, MissingFile
 from knotgym.envs import tasks
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import SYMBOLS, cut
+from knotgym.envs.observations import SYMBOLS, Observer
 from knotgym.envs.task_states import task_sides
 from knotgym.rendering import Drawer, PictureConfig, draw
 from knotgym.states import States, merge_states, write_states
@@ -187,7 +187,7 @@ def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
 
 def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
     visits = np.array([label for k in range(1, 41) for label in (k, -k)])
-    assert np.array_equal(cut(visits), visits[:SYMBOLS])
+    assert np.array_equal(Observer.symbols(visits), visits[:SYMBOLS])
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.marked import TOKENS, Marked, join, mark, size, split
+from knotgym.envs.marked import TOKENS, Marked
 from knotgym.rope import WaypointFollower
 from knotgym.topology import GaussCode, Symmetry, label
 
@@ -40,7 +40,7 @@ def pairs(symmetry: Symmetry) -> tuple[Marked, Marked]:
     ropes = tangles(40)
     goals = [GOALS[row % len(GOALS)] for row in range(len(ropes))]
     moved = np.stack([symmetry.vertices(rope) for rope in ropes])
-    return mark(ropes, goals), mark(moved, [image(symmetry, goal) for goal in goals])
+    return Marked.of(ropes, goals), Marked.of(moved, [image(symmetry, goal) for goal in goals])
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
@@ -97,7 +97,7 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
 
 def test_the_frame_maps_there_and_back() -> None:
     ropes = tangles(20)
-    seen = mark(ropes, [GOALS[0]] * 20)
+    seen = Marked.of(ropes, [GOALS[0]] * 20)
     beads = seen.frames.renumber(np.arange(20))
     assert np.array_equal(seen.frames.renumber(beads), np.arange(20))
     world = seen.frames.world_vectors(seen.points) + seen.frames.centres[:, None]
@@ -108,7 +108,7 @@ def test_the_frame_maps_there_and_back() -> None:
 @pytest.mark.parametrize("canonical", [True, False])
 def test_marks_and_tokens_tell_the_code_that_the_points_show(canonical: bool) -> None:
     ropes, goals = tangles(40), [GOALS[row % 3] for row in range(40)]
-    seen = mark(ropes, goals, canonical=canonical)
+    seen = Marked.of(ropes, goals, canonical=canonical)
     for points, marks, code in zip(*seen[:3], strict=True):
         visits = label(points).visits
         assert marks.sum() == len(visits) and (marks[:, 0].sum() == marks[:, 1].sum())
@@ -123,10 +123,10 @@ def test_marks_and_tokens_tell_the_code_that_the_points_show(canonical: bool) ->
 
 
 def test_parts_survive_the_vector() -> None:
-    seen = mark(tangles(5), GOALS[:1] * 5)
-    vector = join(seen)
-    assert vector.shape == (5, size(100)) and vector.dtype == np.float32
-    again = split(vector)
+    seen = Marked.of(tangles(5), GOALS[:1] * 5)
+    vector = seen.joined()
+    assert vector.shape == (5, Marked.size(100)) and vector.dtype == np.float32
+    again = Marked.split(vector)
     assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(seen[:4], again[:4], strict=True))
     assert np.array_equal(seen.frames.reverse, again.frames.reverse)
 
@@ -135,5 +135,5 @@ def test_the_environment_shows_its_own_state(states_path: str) -> None:
     env = KnotEnv("tie", nx=2, observation="marked", states=states_path)
     observation, info = env.reset(seed=0)
     episodes = env.episodes
-    ours = mark(episodes.simulation.points, [GaussCode.parse(info["goal_gauss_code"])])
-    assert np.array_equal(observation, join(ours)[0])
+    ours = Marked.of(episodes.simulation.points, [GaussCode.parse(info["goal_gauss_code"])])
+    assert np.array_equal(observation, ours.joined()[0])

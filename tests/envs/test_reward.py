@@ -10,7 +10,7 @@ from knotgym.adapters import goal_env
 from knotgym.control import PolicyConfig, dataset_faults, make_policy, rollouts
 from knotgym.datasets import open_episodes
 from knotgym.envs import reward
-from knotgym.envs.reward import Situation, outcome
+from knotgym.envs.reward import Situation
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions
 
@@ -43,7 +43,7 @@ def test_the_rule(
     code = np.zeros((1, 2), np.int16)
     held, *given = (np.array([value]) for value in (2 * reached, step, failed, towed))
     for task, expected in ((TASK, right), (ENDLESS, endless)):
-        found = outcome(task, Situation(code, code, held, 2, *given))
+        found = Situation(code, code, held, 2, *given).outcome(task)
         assert tuple(column.item() for column in found) == expected
 
 

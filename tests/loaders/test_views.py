@@ -12,7 +12,7 @@ from synthetic_episodes import TINY
 from knotgym.common import InvalidInput, InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes, open_episodes
-from knotgym.envs import TaskConfig, observe
+from knotgym.envs import Observer, TaskConfig
 from knotgym.loaders import Transitions, Window, arrays, as_policy
 from knotgym.topology import Symmetry, label
 
@@ -121,7 +121,9 @@ def test_the_canonical_frame_shows_all_images_of_a_state_alike() -> None:
         image = Symmetry(turn, mirror, switch, False)
         points, wanted = image.vertices(rope), image.vertices(goal)
         visits = np.array([label(wanted[0]).visits], np.int16)
-        seen.append(observe(task, points, visits, wanted, visits, lambda: np.zeros(0, np.uint8)))
+        seen.append(
+            Observer(task).observe(points, visits, wanted, visits, lambda: np.zeros(0, np.uint8))
+        )
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-6)
     np.testing.assert_allclose(seen[2], seen[0], atol=1e-6)
 

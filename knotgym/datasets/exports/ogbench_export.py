@@ -73,12 +73,13 @@ def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
     if look == "state":
         seen = steps["observation"].reshape(steps.rows, -1)
     else:
-        from knotgym.envs import alone, looks, picture_config
+        from knotgym.envs import Observer
 
         points, own = steps["observation"].astype(np.float64), dataset.episodes.episodes
-        shown = looks(dataset.task, zip(own["goal"].tolist(), own["goal_points"], strict=True))
+        observer = Observer(dataset.task)
+        shown = observer.looks(zip(own["goal"].tolist(), own["goal_points"], strict=True))
         each = [look for look, n in zip(shown, own["length"], strict=True) for _ in range(n + 1)]
-        seen = alone(points, each, picture_config(dataset.task))
+        seen = observer.alone(points, each)
     return {"observations": seen, "actions": steps["action"], "terminals": terminals}
 
 

@@ -20,7 +20,7 @@ from knotgym.common import (
     one_line,
     read_json,
 )
-from knotgym.envs import OWN, SHIPPED, TaskConfig, task_sides
+from knotgym.envs import TaskConfig, task_sides
 from knotgym.rope import MUJOCO
 from knotgym.runs import cluster_interval, narrow_table
 
@@ -156,9 +156,7 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
                 highlight=False,
             )
     for task, nx in dict.fromkeys(
-        (one.task, one.nx)
-        for one in results
-        if {one.start_states, one.goal_states} == {OWN, SHIPPED}
+        (one.task, one.nx) for one in results if one.start_states != one.goal_states
     ):
         console.print(
             f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",

@@ -12,7 +12,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Seed, Share, choice, configuration
 from knotgym.drawing import DrawingConfig
-from knotgym.envs import MAX_BEADS, MIN_BEADS, max_nx
+from knotgym.envs import BEADS, TaskConfig
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope import CHAIN, ENGINES, MUJOCO
 from knotgym.states import SOURCES
@@ -131,7 +131,7 @@ class GenerateConfig:
     demonstration_attempts: PositiveInt = 8
     seed: Seed = 0
     engine: Annotated[str, choice("auto", *ENGINES)] = "auto"
-    beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = _BEADS
+    beads: Annotated[int, Field(ge=BEADS.start, le=BEADS[-1])] = _BEADS
     drawing: DrawingConfig = DrawingConfig()
     play: PlayConfig = PlayConfig()
     walk: PlayConfig = PUBLISHED
@@ -144,7 +144,7 @@ class GenerateConfig:
             raise InvalidInput(f"source must be one of {', '.join(known)}, got {self.source!r}")
         if self.source != "auto" and SOURCES[self.source].from_ropes:
             self._require_ropes()
-        if max(self.nx) > (most := max_nx(self.beads)):
+        if max(self.nx) > (most := TaskConfig.most_nx(self.beads)):
             raise InvalidInput(f"nx takes numbers of crossings from 0 to {most}, got {self.nx}")
         if self.beads != _BEADS and self.demonstrations:
             raise InvalidInput(
