@@ -50,11 +50,7 @@ MOST, STEP = 0.01, 0.4  # largest displacement of a node; fraction of the Newton
 
 
 def relax_layout(
-    at: Array,
-    walk: Integers,
-    left: Integers,
-    right: Integers,
-    shares: Array,
+    at: Array, walk: Integers, left: Integers, right: Integers, shares: Array
 ) -> tuple[Array, Integers]:
     """Relax a diagram drawn with straight segments.
 
@@ -276,12 +272,7 @@ def _stiffen(
 
 @numba.njit(cache=True, nogil=True)
 def _square(
-    at: Array,
-    walk: Integers,
-    visits: Integers,
-    force: Array,
-    stiff: Array,
-    crossing: float,
+    at: Array, walk: Integers, visits: Integers, force: Array, stiff: Array, crossing: float
 ) -> None:
     """Add the force that turns crossing strands perpendicular.
 

@@ -76,14 +76,7 @@ def planar_map(code: GaussCode, outer: int) -> PlanarMap:
         else:
             triangles.append(np.stack([ring, ring_after, np.full(len(ring), nodes)], axis=1))
             nodes += 1
-    return PlanarMap(
-        walk,
-        side[0::2],
-        side[1::2],
-        np.concatenate(triangles),
-        rim,
-        nodes,
-    )
+    return PlanarMap(walk, side[0::2], side[1::2], np.concatenate(triangles), rim, nodes)
 
 
 def _nodes_of(dart: int, walk: Integers, step: int) -> Integers:

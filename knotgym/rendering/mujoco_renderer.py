@@ -225,9 +225,10 @@ def _backend() -> str:
         raise _unavailable(f"MUJOCO_GL={chosen}")
     if platform.system() != "Linux":
         return "cgl" if platform.system() == "Darwin" else "glfw"
-    for backend, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
-        if ctypes.util.find_library(library):
-            return backend
+    libraries = {"egl": "EGL", "osmesa": "OSMesa"}
+    found = [name for name, library in libraries.items() if ctypes.util.find_library(library)]
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        return "glfw"
-    raise _unavailable("neither libEGL nor libOSMesa is installed and there is no display")
+        found.append("glfw")
+    if not found:
+        raise _unavailable("neither libEGL nor libOSMesa is installed and there is no display")
+    return found[0]

@@ -85,26 +85,20 @@ class PhotoDrawer(Drawer):
 
 def _with_answers(shot: Shot) -> Drawn:
     """Return a photo with the columns of photos."""
-    names, boxes = ("strand", "x", "y", "width", "height"), []
-    for strand in range(1, max(2 * shot.crossings.nx, 1) + 1):
-        box = cv2.boundingRect((shot.strands == strand).view(np.uint8))
-        boxes.append(dict(zip(names, (strand, *box), strict=True)))
+    names, strands = ("strand", "x", "y", "width", "height"), shot.strands
+    visible = range(1, max(2 * shot.crossings.nx, 1) + 1)
+    boxes = [(k, *cv2.boundingRect((strands == k).view(np.uint8))) for k in visible]
     shared = {one.name for one in fields(Appearance)}
-    look = {
-        one.name: getattr(shot.look, one.name) for one in fields(Photo) if one.name not in shared
-    }
-    measured = {name: getattr(shot, name) for name in ("contrast", "order", "region")}
+    own = [one.name for one in fields(Photo) if one.name not in shared]
+    photo: dict[str, Any] = {name: getattr(shot.look, name) for name in own}
+    photo |= {"ground": list(shot.look.ground), "rope_width": 2 * shot.look.radius}
+    photo |= {name: getattr(shot, name) for name in ("contrast", "order", "region")}
     columns = {
         "canonical_code": str(canonical(shot.crossings.code, Symmetry.DIAGRAM)),
-        "strands": shot.strands,
-        "boxes": boxes,
+        "strands": strands,
+        "boxes": [dict(zip(names, box, strict=True)) for box in boxes],
         "line": shot.line.ravel().tolist(),
-        "photo": {
-            **look,
-            "ground": list(shot.look.ground),
-            "rope_width": 2 * shot.look.radius,
-            **measured,
-        },
+        "photo": photo,
     }
     return Drawn(shot.image, shot.look, shot.pixels, columns)
 
@@ -223,7 +217,7 @@ def _episode_look(points: Array, size: int, number: int) -> Photo:
 
 def _drawn(
     rope: PhotoRope, size: int, rng: np.random.Generator, tilt: float, heading: float,
-    marked: bool | None,
+    marked: bool | None
 ) -> Shot | None:  # fmt: skip
     """Draw frame and appearance of one view; None if it isn't legible."""
     if rope.shown.nx > LIMITS.crossings:

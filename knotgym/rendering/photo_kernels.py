@@ -216,7 +216,7 @@ def _edge(visits: Array, place: Any) -> int:
 def compose(
     picture: Array, strands: Array, visits: Array, square: Array, place: Array, curve: Array,
     after: Array, tangent: Array, along: Array, colours: Array, radius: Any, twisted: bool,
-    gloss: Any, ambient: Any, dark: Any, light: Array, texture: Array, grown: Any, own: int,
+    gloss: Any, ambient: Any, dark: Any, light: Array, texture: Array, grown: Any, own: int
 ) -> None:  # fmt: skip
     """Paint both layers and their shadows on a surface.
 

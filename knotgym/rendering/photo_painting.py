@@ -219,7 +219,7 @@ def ground_of(look: Photo, rng: np.random.Generator) -> tuple[Array, Array]:
 
 def _lay(
     picture: Array, look: Photo, middles: Array, reach: Array, colours: Array,
-    rng: np.random.Generator,
+    rng: np.random.Generator
 ) -> Array:  # fmt: skip
     """Lay polygons and discs on a picture; return where they are, uint8 (size, size)."""
     sides, outlines = 12, np.empty((len(middles), 13, 3), np.float32)
@@ -243,7 +243,7 @@ def _lay(
 
 def painted(
     rope: PhotoRope, view: PhotoView, look: Photo, region: float, texture: Array, picture: Array,
-    rng: np.random.Generator,
+    rng: np.random.Generator
 ) -> Shot:  # fmt: skip
     """Paint the rope and what lies beside and on it on the ground, and measure the picture."""
     n, strands = len(view.curve), np.zeros(picture.shape[:2], np.uint8)
@@ -270,7 +270,7 @@ def painted(
         picture, strands, view.visits, view.square, view.place, curve, after,
         tangent.astype(np.float32),
         (length * turns / length[n]).astype(np.float32), colours, radius, look.twisted,
-        gloss, ambient, shadow, light.astype(np.float32), texture, grown, n,
+        gloss, ambient, shadow, light.astype(np.float32), texture, grown, n
     )  # fmt: skip
     if look.occluders:
         # what is covered is visible no more

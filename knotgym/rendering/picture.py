@@ -188,13 +188,7 @@ def paint(
 
 @inner
 def _stamp(
-    pixels: Array,
-    height: Array,
-    radius: Array,
-    first: Array,
-    of: Array,
-    seen: Array,
-    size: int,
+    pixels: Array, height: Array, radius: Array, first: Array, of: Array, seen: Array, size: int
 ) -> Any:
     """Find the strands of a rope at all pixels; return their number, `of` and `seen`."""
     count, n = 0, len(height)
@@ -272,14 +266,7 @@ def _doubled(rows: Any) -> Any:
 
 
 @inner
-def _cut(
-    pixels: Array,
-    band: Array,
-    first: Array,
-    of: Array,
-    seen: Array,
-    size: int,
-) -> None:
+def _cut(pixels: Array, band: Array, first: Array, of: Array, seen: Array, size: int) -> None:
     """Cut what lies below a band, see `paint`: cover it less."""
     n, (middle, half, radius, level, spared) = len(pixels), band
     start, stop = int(np.ceil(middle - half - 0.5)), int(np.floor(middle + half - 0.5)) + 1

@@ -70,13 +70,8 @@ class Appearance:
 
     def picture(self) -> PictureConfig:
         """Return the picture configuration; the rope's colours are in `bead_colours`."""
-        return PictureConfig(
-            size=self.size,
-            turn=self.turn,
-            zoom=self.zoom,
-            width=self.width,
-            background=self.background,
-        )
+        shared = "size", "turn", "zoom", "width", "background"
+        return PictureConfig(**{name: getattr(self, name) for name in shared})
 
     def bead_colours(self, beads: int) -> NDArray[np.uint8]:
         """Return the RGB of every bead, uint8 (beads, 3); the base bead is white."""

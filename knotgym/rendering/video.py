@@ -164,11 +164,7 @@ class Film:
 def _gif(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
     images = [Image.fromarray(frame) for frame in frames]
     images[0].save(
-        path,
-        save_all=True,
-        append_images=images[1:],
-        duration=1000 // FRAMES_PER_SECOND,
-        loop=0,
+        path, save_all=True, append_images=images[1:], duration=1000 // FRAMES_PER_SECOND, loop=0
     )
 
 

@@ -108,7 +108,7 @@ def possible_types(code: GaussCode) -> list[str]:
 
     Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
     """
-    parts = summands(simplify(without_bigons(with_chirality(code))))
+    parts = summands(simplify(code))
     return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
 
 

@@ -293,7 +293,7 @@ _READERS: tuple[tuple[re.Pattern[str], Callable[[str, str], GaussCode | None]], 
         (rf"{_BARE}(?:,{_BARE})*", 0, _read_bare),
         # DT codes of KnotInfo, also bare numbers, of KnotTheory and of SnapPy; signed numbers
         (rf"(?:DT(?:Code)?:?)?[\[(]*{_LIST}[\])]*", 0, _read_numbers),
-        (r"DT(?:\[[A-Za-z]{4,}(?:\.[01]*)?\]|:[A-Za-z]{4,}(?:\.[01]*)?)", 0, _read_letters),
+        (r"DT(?:\[[A-Za-z]{4,}(?:\.[01]*)?\]|:[A-Za-z]{4,}(?:\.[01]*)?)", 0, _read_letters)
     )
 )  # fmt: skip
 

@@ -186,10 +186,8 @@ def _liftable_stretches(
             met.add(visit)
         elif -visit not in met:  # under a strand that doesn't belong to the stretch
             break
-        if whole:
-            found.clear()
         found.append((length, frozenset(met)))
-    return found
+    return found[-1:] if whole else found
 
 
 def _relaid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iterator[GaussCode]:

@@ -363,12 +363,7 @@ def test_both_renderers_draw_the_same_picture(config: PictureConfig, mean_limit:
 
 @gl
 def test_both_renderers_obey_every_setting() -> None:
-    config = PictureConfig(
-        turn=0.7,
-        zoom=1.5,
-        width=1.4,
-        background=(40, 80, 120),
-    )
+    config = PictureConfig(turn=0.7, zoom=1.5, width=1.4, background=(40, 80, 120))
     for one in (config, dataclasses.replace(config, camera="perspective")):
         other = dataclasses.replace(one, renderer="mujoco")
         apart = np.abs(draw(curves()[6], one).astype(int) - draw(curves()[6], other))

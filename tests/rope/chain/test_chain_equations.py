@@ -21,13 +21,7 @@ def empty_system() -> tuple[Array, ...]:
 
 
 def dense(
-    tangent: Array,
-    side: Array,
-    v: Array,
-    spin: Array,
-    pull: Array,
-    h: float,
-    physics: Physics,
+    tangent: Array, side: Array, v: Array, spin: Array, pull: Array, h: float, physics: Physics
 ) -> tuple[Array, Array]:
     """Velocities and spins after a substep of one rope, see `dynamics`."""
     mass, tumble, roll_mass, length, *drag, stretch, damping = physics[:10]
