@@ -35,7 +35,7 @@ from knotgym.datasets import (
     summary,
 )
 from knotgym.envs import TaskConfig
-from knotgym.quality import UNITS
+from knotgym.quality import Quality
 from knotgym.rendering import APPEARANCES
 from knotgym.states import SETS, write_states
 
@@ -328,9 +328,11 @@ def test_pages_name_as_many_measures_as_there_are() -> None:
     text = " ".join(page.read_text(encoding="utf-8") for page in PAGES)
     said = re.findall(r"\b(?:the (\w+)\s+measures|measured in (\w+) ways)\b", text)
     counts = [word for pair in said for word in pair if word in numbers]
-    assert {*counts} == {numbers[len(UNITS)]}
+    assert {*counts} == {numbers[len(Quality.UNITS)]}
     listed = names(tables(DOCS / "formats/states.md")["Datasets"])
-    assert {name.removeprefix("quality/") for name in listed if "quality/" in name} == {*UNITS}
+    assert {name.removeprefix("quality/") for name in listed if "quality/" in name} == {
+        *Quality.UNITS
+    }
 
 
 def test_the_episode_file_is_as_its_page_says(minari: Path) -> None:

@@ -30,9 +30,9 @@ from pictures import Misread, page
 from torch import Tensor, nn
 from torch.nn import functional
 
-from knotgym.datasets import GRADES
 from knotgym.loaders import images
 from knotgym.prompting import reading_scores, reading_table
+from knotgym.quality import GRADES
 from knotgym.topology import GaussCode
 
 BEADS = 100

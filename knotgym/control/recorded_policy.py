@@ -15,7 +15,7 @@ import numpy as np
 from knotgym.common import InvalidPolicy, KnotgymError, Table
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.sampler import Ids, Player, PolicyFamily, Pulls, SimplePolicy, rollouts
-from knotgym.datasets import MACROS, Episodes, episode_file, open_episodes
+from knotgym.datasets import MACROS, Episodes, open_episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 
 _PREFIX = "recorded:"  # of a policy's name; a dataset's id or path follows
@@ -91,7 +91,7 @@ def _load(config: PolicyConfig) -> SimplePolicy:
 
 
 def _files(name: str) -> dict[str, Path]:
-    path = episode_file(name.removeprefix(_PREFIX))
+    path = open_episodes(name.removeprefix(_PREFIX)).path
     return {path.name: path}
 
 

@@ -11,7 +11,6 @@ from .episode_dataset import FILE as FILE
 from .episode_dataset import EpisodeDataset as EpisodeDataset
 from .episode_dataset import columns_of as columns_of
 from .episode_dataset import digests_of as digests_of
-from .episode_dataset import episode_file as episode_file
 from .episode_dataset import open_episodes as open_episodes
 from .episode_dataset import write_episodes as write_episodes
 from .episode_verification import ReplayFault as ReplayFault
@@ -36,7 +35,6 @@ from .image_rows import PictureRow as PictureRow
 from .image_rows import drawn as drawn
 from .image_rows import record as record
 from .image_table import COLUMNS as COLUMNS
-from .image_table import GRADES as GRADES
 from .image_table import arrow as arrow
 from .image_table import decode as decode
 from .image_table import encode as encode

@@ -125,6 +125,19 @@ class EpisodeDataset:
         chosen = self.numbers[np.asarray(rows) if np.size(rows) else slice(0)]
         return replace(self, episodes=self.episodes.select(rows), rows=chosen)
 
+    def pictures(self, *, beside_goals: bool) -> NDArray[np.uint8]:
+        """Draw each state as the environment shows it, alone or beside its goal: (rows, ...)."""
+        from knotgym.envs import Observer  # needs OpenCV
+
+        (own, steps), episode = self.episodes, self.episodes.episode_of()
+        observer, goals = Observer(self.task), own["goal_points"].astype(np.float64)
+        shown = observer.looks(zip(own["goal"].tolist(), goals, strict=True))
+        points, each = steps["observation"].astype(np.float64), [shown[k] for k in episode]
+        if not beside_goals:
+            return observer.alone(points, each)
+        halves = observer.alone(goals, shown)
+        return observer.pixels(points, [halves[k] for k in episode], each)
+
     def drawn(self, sample: int) -> "EpisodeDataset":
         """Return so many episodes, drawn from a generator of their content; 0 for all."""
         rows = self.episodes.episodes.rows
@@ -359,12 +372,9 @@ def episode_file(source: Any) -> Path:
         source = source.storage.data_path
     if not isinstance(source, (str, os.PathLike)):
         raise InvalidInput(f"a dataset is an id, a folder or a file, got {source!r}")
-    root = resolve(source)
-    for name in (FILE, MAIN):
-        for inside in (root, root / name, root / "data" / name):
-            if inside.is_file():
-                require_no_links(root, [inside])
-                return inside
+    root, file = resolve(source), resolve(source, FILE, MAIN)
+    if file.is_file():
+        return file
     found = sorted((root / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
     if len(found) > 1:
         listed = ", ".join(str(one.parents[1]) for one in found)

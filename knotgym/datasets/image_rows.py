@@ -34,7 +34,7 @@ from knotgym.datasets.image_table import (
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.state_verification import Map
 from knotgym.datasets.state_verification import row_faults as state_faults
-from knotgym.quality import LEGIBLE, UNAMBIGUOUS, Quality, ease, grade_of
+from knotgym.quality import UNAMBIGUOUS, Limits, Quality, grade_of
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
 from knotgym.rope import Array, Rope
 from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest, held_form
@@ -96,8 +96,8 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     return {
         **_CODES.derive(rope),
         "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],
-        "accepted": not LEGIBLE.faults(rope.quality, crossings.nx),
-        "grade": grade_of(ease(rope.quality, LEGIBLE)),
+        "accepted": not Limits().faults(rope.quality, crossings.nx),
+        "grade": grade_of(rope.quality.ease()),
         "quality": asdict(rope.quality),
         "image": encode(drawn.image, APPEARANCES[drawn.look.name].compression),
         **own,

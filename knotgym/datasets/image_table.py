@@ -30,14 +30,13 @@ from knotgym.common import (
     require_no_links,
     require_regular,
 )
-from knotgym.quality import UNITS
+from knotgym.quality import Quality
 from knotgym.rendering import APPEARANCES
 from knotgym.states import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
 VERSION = 2  # 2: ropes are drawn by distance
 _DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
-GRADES = ("easy", "medium", "hard", "extreme")
 _ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
 _LEAST_ROW = 64  # bytes; every row stores more, because it has its own picture
 _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
@@ -48,7 +47,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 TABLES: dict[str, Any] = tomllib.loads(
     (files("knotgym.datasets") / "columns.toml").read_text("utf-8")
 )
-TABLES["pictures"]["quality"]["type"] = dict.fromkeys(UNITS, "float64")
+TABLES["pictures"]["quality"]["type"] = dict.fromkeys(Quality.UNITS, "float64")
 COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
 
 

@@ -19,7 +19,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -339,23 +339,15 @@ def _minari_episodes(
 
 def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     """Return an episode's observations by path."""
-    # needs OpenCV
-    from knotgym.envs import Observer
+    from knotgym.envs import Observer  # needs OpenCV
 
-    observer, (own, table), offsets = (
-        Observer(dataset.task),
-        dataset.episodes,
-        dataset.episodes.offsets,
-    )
-    rows = slice(offsets[k], offsets[k + 1])
-    points, visits = table["observation"][rows].astype(np.float64), table["visits"][rows]
-    goal, wanted = own["goal_points"][k].astype(np.float64), own["goal_visits"][[k] * len(visits)]
-
-    def pictures() -> NDArray[np.uint8]:
-        look, many = observer.looks([(int(own["goal"][k]), goal)]), len(points)
-        return observer.pixels(points, [observer.alone(goal[None], look)[0]] * many, look * many)
-
-    shown = observer.observe(points, visits, goal, wanted, pictures)
+    one = dataset.select([k])
+    own, steps = one.episodes
+    points, goals = steps["observation"].astype(np.float64), own["goal_points"].astype(np.float64)
+    wanted = own["goal_visits"][[0] * steps.rows]
+    pictures = partial(one.pictures, beside_goals=True)
+    observer = Observer(dataset.task)
+    shown = observer.observe(points, steps["visits"], goals[0], wanted, pictures)
     if not isinstance(shown, dict):
         return {"observations": shown}
     return {f"observations/{name}": array for name, array in shown.items()}

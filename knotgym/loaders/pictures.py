@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidFile, InvalidInput
-from knotgym.datasets import GRADES, arrow
+from knotgym.datasets import arrow
+from knotgym.quality import GRADES
 from knotgym.topology import GaussCode
 
 _CROSSING_FIELDS = ("x", "y", "over_place", "under_place")

@@ -62,7 +62,7 @@ class PictureDataset(Pictures, Dataset[dict[str, Any]]):
         signs       int64 (max_nx,): +1 for "c", -1 for "a", by crossing number
         crossings   float32 (max_nx, 4): x and y in pixels, positions of the over and the under
                     strand along the rope in beads
-        grade       int64 (): index in `knotgym.datasets.image_table.GRADES`
+        grade       int64 (): index in `knotgym.quality.GRADES`
         accepted    bool ()
 
     The PNGs are kept in memory (about 3 kB for a picture of 128 x 128) and shared by forked

@@ -18,7 +18,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_confi
 from typing_extensions import TypedDict
 
 from knotgym.common import InvalidFile, MissingFile, one_line
-from knotgym.datasets import GRADES
+from knotgym.quality import GRADES
 from knotgym.runs import cluster_interval
 from knotgym.topology import GaussCode
 

@@ -1,11 +1,9 @@
-from .limits import LEGIBLE as LEGIBLE
+from .limits import GRADES as GRADES
 from .limits import RESET_NOISE as RESET_NOISE
 from .limits import UNAMBIGUOUS as UNAMBIGUOUS
-from .limits import UNITS as UNITS
 from .limits import UNTWISTED as UNTWISTED
 from .limits import Limits as Limits
 from .limits import Quality as Quality
-from .limits import ease as ease
 from .limits import grade_of as grade_of
 from .measures import base_spacing as base_spacing
 from .measures import measure as measure

@@ -5,7 +5,7 @@ Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pix
 """
 
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import NonNegativeFloat
 
@@ -14,6 +14,14 @@ from knotgym.common import Share, configuration
 # Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
 # at which `Quality.noise_survival` is measured.
 RESET_NOISE = 0.015
+
+
+# Difficulty of reading a picture, in four grades. A single crossing that can't be made out spoils
+# the whole code, so the worst of five measures, in units of its limit, decides. The other limits
+# (margin, clearance, twist, survival of noise) concern the rope rather than the reading.
+_READING = "crossing_angle crossing_spacing base_spacing strand_spacing smallest_region".split()
+_EASES = {"easy": 1.5, "medium": 1.0, "hard": 0.5, "extreme": 0.0}  # grade -> smallest ease
+GRADES = (*_EASES,)
 
 
 def _measure(unit: str, doc: str, default: Any = MISSING) -> Any:
@@ -54,6 +62,8 @@ class Quality:
             code; NaN until measured.
     """
 
+    UNITS: ClassVar[dict[str, str]]  # of the measures by name
+
     crossing_angle: float = _measure("degrees", "smallest angle between two crossing strands")
     crossing_spacing: float = _measure("pixels", "smallest distance between two crossings")
     base_spacing: float = _measure(
@@ -79,8 +89,13 @@ class Quality:
         "share", "share of 64 draws of reset noise that keep the code", float("nan")
     )
 
+    def ease(self) -> float:
+        """Return the least of the _READING measures, each divided by its limit; 1 is acceptable."""
+        limits = Limits()
+        return float(min(getattr(self, name) / getattr(limits, name) for name in _READING))
 
-UNITS = {measure.name: str(measure.metadata["unit"]) for measure in fields(Quality)}
+
+Quality.UNITS = {measure.name: str(measure.metadata["unit"]) for measure in fields(Quality)}
 # Limits that are upper bounds of their measure
 _MAXIMA = ("excess_crossing_number", "total_curvature", "curvature_per_crossing")
 
@@ -124,64 +139,30 @@ class Limits:
 
     def faults(self, quality: Quality, nx: int) -> list[str]:
         """Return the limits that a state with nx crossings misses; a measure of NaN passes."""
-        missed = []
-        for limit in fields(self):
-            name, bound = limit.name, getattr(self, limit.name)
-            if bound is None:
-                continue
-            if name == "curvature_per_crossing":
-                value = quality.total_curvature / (nx + 1)
-            else:
-                value = getattr(quality, name)
-            if value > bound if name in _MAXIMA else value < bound:
-                missed.append(name)
-        return missed
+        measured = {**vars(quality), "curvature_per_crossing": quality.total_curvature / (nx + 1)}
+        return [
+            name
+            for name, bound in vars(self).items()
+            if bound is not None
+            and (measured[name] > bound if name in _MAXIMA else measured[name] < bound)
+        ]
+
+    @classmethod
+    def only(cls, **bounds: float) -> "Limits":
+        """Return these limits alone."""
+        return cls(**{**dict.fromkeys(limit.name for limit in fields(cls)), **bounds})
 
 
-_NO_LIMITS: dict[str, None] = dict.fromkeys(limit.name for limit in fields(Limits))
-LEGIBLE = Limits()
 # Over-twisted ropes are left out, and nothing else. Total curvature counts the turns of a coil that
 # the picture shows, the excess crossing number those that it hides. A reset draws noise up to
 # twenty times at full scale: at 0.25 all draws lose the code in only 3 of 1,000 resets.
-UNTWISTED = Limits(
-    **{
-        **_NO_LIMITS,
-        "excess_crossing_number": 4.0,
-        "total_curvature": 5.0,
-        "noise_survival": 0.25,
-    }
-)
+UNTWISTED = Limits.only(excess_crossing_number=4.0, total_curvature=5.0, noise_survival=0.25)
 # Nothing but the Gauss code is required to be certain. A quarter of a bead is 0.64 pixels and
 # rounding errors are 1e-12 of that; axes less than 7 mm apart are those of ropes, 10 mm thick, that
 # lie in each other, so a picture of their surfaces shows no order.
-UNAMBIGUOUS = Limits(
-    **{
-        **_NO_LIMITS,
-        "crossing_spacing": 0.64,
-        "base_spacing": 0.64,
-        "margin": 0.0,
-        "clearance": 7.0,
-    }
-)
-
-# Difficulty of reading a picture, in four grades. A single crossing that can't be made out spoils
-# the whole code, so the worst of five measures, in units of its limit, decides. The other limits
-# (margin, clearance, twist, survival of noise) concern the rope rather than the reading.
-_READING = (
-    "crossing_angle",
-    "crossing_spacing",
-    "base_spacing",
-    "strand_spacing",
-    "smallest_region",
-)
-_GRADES = {"easy": 1.5, "medium": 1.0, "hard": 0.5, "extreme": 0.0}  # grade -> smallest ease
-
-
-def ease(quality: Quality, limits: Limits) -> float:
-    """Return the smallest of the _READING measures, each divided by its limit; 1 is acceptable."""
-    return min(getattr(quality, measure) / getattr(limits, measure) for measure in _READING)
+UNAMBIGUOUS = Limits.only(crossing_spacing=0.64, base_spacing=0.64, margin=0.0, clearance=7.0)
 
 
 def grade_of(ease: float) -> str:
-    """Return the grade of an ease, one of `datasets.image_table.GRADES`."""
-    return next((grade for grade, least in _GRADES.items() if ease >= least), "extreme")
+    """Return the grade of an ease, one of GRADES."""
+    return next((grade for grade, least in _EASES.items() if ease >= least), "extreme")

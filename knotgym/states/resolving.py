@@ -46,43 +46,39 @@ def minari_root() -> Path:
     return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
 
 
-def resolve(named: str | os.PathLike[str] | None) -> Path:
-    """Return the file or folder that a name stands for.
+def resolve(named: str | os.PathLike[str] | None, *files: str) -> Path:
+    """Return the file or folder that a name stands for, or a file in it.
 
     Args:
         named: the name of an included set (None for "readable"), which a file of that name doesn't
             hide, because stored tasks name sets, too; else a path that exists; else the id of a
             Minari dataset. A `Path` is a path, whether there is a file or not.
+        files: names of the file that is wanted of a folder or of the folder `data` in it. The first
+            that is there is returned; if none is, the path where the first should be.
 
     Raises:
         MissingFile: there is no such file, folder, id or set.
+        InvalidFile: the folder's file is a link, which could lead to a private file of the user.
     """
     if named is None or named in SETS:
         return shipped(str(named or "readable"))
-    path = Path(named)
-    if isinstance(named, Path) or path.exists():
+    path, minari = Path(named), minari_root() / named
+    if not isinstance(named, Path) and not path.exists():
+        outside = path.is_absolute() or ".." in path.parts
+        if outside or not minari.is_dir():
+            raise MissingFile(
+                f"no such file: {path}, nor a Minari dataset of this id under {minari_root()},"
+                f" nor an included set ({', '.join(SETS)})"
+            )
+        path = minari
+    if not files or not path.is_dir():
         return path
-    outside = path.is_absolute() or ".." in path.parts
-    if not outside and (minari_root() / path).is_dir():
-        return minari_root() / path
-    raise MissingFile(
-        f"no such file: {path}, nor a Minari dataset of this id under {minari_root()},"
-        f" nor an included set ({', '.join(SETS)})"
-    )
+    places = [folder / name for name in files for folder in (path, path / "data")]
+    found = next((one for one in places if one.exists()), places[0])
+    require_no_links(path, [found])
+    return found
 
 
 def resolve_states(named: str | os.PathLike[str] | None) -> Path:
-    """Return the state file that a name stands for, as `resolve` takes it.
-
-    A run's folder has it as `states.h5`, a Minari dataset as `data/states.h5`.
-
-    Raises:
-        MissingFile: there is no such file, folder, id or set, or the folder has no state file.
-        InvalidFile: the folder's file is a link, which could lead to a private file of the user.
-    """
-    path = resolve(named)
-    if not path.is_dir():
-        return path
-    found = next((one for one in (path, path / "data") if (one / "states.h5").exists()), path)
-    require_no_links(path, [found / "states.h5"])
-    return found / "states.h5"
+    """Return the state file that a name stands for, as `resolve` takes it."""
+    return resolve(named, "states.h5")

@@ -33,7 +33,7 @@ from knotgym.datasets import (
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.loaders import images as load
-from knotgym.quality import Limits, ease, grade_of, measure
+from knotgym.quality import Limits, grade_of, measure
 from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs import RunOptions
@@ -264,7 +264,7 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
         worse = type(quality)(
             **{**vars(quality), "crossing_angle": factor * (limits.crossing_angle or 0)}
         )
-        assert grade_of(ease(worse, limits)) == name
+        assert grade_of(worse.ease()) == name
 
 
 def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(

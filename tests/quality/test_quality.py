@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.quality import measures
-from knotgym.quality.limits import LEGIBLE, UNAMBIGUOUS, UNTWISTED, Limits, Quality
+from knotgym.quality.limits import UNAMBIGUOUS, UNTWISTED, Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
 from knotgym.rendering import PictureConfig, strand_spacing
 from knotgym.rope import Rope
@@ -161,7 +161,7 @@ def spacing_by_graph(points: NDArray[np.float64], walk: float) -> float:
 def test_states_that_ship_are_legible_and_have_the_measures_stored_with_them() -> None:
     for row, nx in enumerate(SHIPPED.nx.tolist()):
         kept = Quality(**{name: float(values[row]) for name, values in SHIPPED.quality.items()})
-        assert LEGIBLE.faults(kept, nx) == []
+        assert Limits().faults(kept, nx) == []
         if row % 20 == 0:
             found = replace(measure(SHIPPED.points[row]), noise_survival=kept.noise_survival)
             assert astuple(found) == pytest.approx(astuple(kept), rel=1e-9, abs=1e-9)
@@ -265,13 +265,13 @@ def test_a_crossing_at_the_end_of_the_walk_does_not_survive_reset_noise(rope: Ro
 
 
 def test_a_perfect_state_has_no_faults() -> None:
-    assert all(limits.faults(PERFECT, 3) == [] for limits in (LEGIBLE, UNTWISTED, UNAMBIGUOUS))
+    assert all(limits.faults(PERFECT, 3) == [] for limits in (Limits(), UNTWISTED, UNAMBIGUOUS))
 
 
 MAXIMA = ("excess_crossing_number", "total_curvature", "curvature_per_crossing")
 BOUNDS = [
     (limits, field.name)
-    for limits in (LEGIBLE, UNTWISTED, UNAMBIGUOUS)
+    for limits in (Limits(), UNTWISTED, UNAMBIGUOUS)
     for field in fields(Limits)
     if getattr(limits, field.name) is not None
 ]
@@ -292,10 +292,10 @@ def test_a_measure_beyond_its_limit_is_named_and_one_at_it_is_not(
 
 def test_more_crossings_may_turn_more() -> None:
     twisted = replace(PERFECT, total_curvature=5.0)
-    assert LEGIBLE.faults(twisted, 1) == ["curvature_per_crossing"]
-    assert LEGIBLE.faults(twisted, 2) == []
+    assert Limits().faults(twisted, 1) == ["curvature_per_crossing"]
+    assert Limits().faults(twisted, 2) == []
 
 
 def test_what_was_not_measured_is_no_fault() -> None:
     unmeasured = replace(PERFECT, noise_survival=math.nan, excess_crossing_number=math.nan)
-    assert LEGIBLE.faults(unmeasured, 3) == []
+    assert Limits().faults(unmeasured, 3) == []

@@ -21,10 +21,10 @@ from knotgym.datasets.cards import (
 )
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.gallery import state_tiles, write_gallery
-from knotgym.datasets.image_table import GRADES, file_stem, marks_base, read_table, shards
+from knotgym.datasets.image_table import file_stem, marks_base, read_table, shards
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest, write_manifest
-from knotgym.quality import UNITS
+from knotgym.quality import GRADES, Quality
 from knotgym.rendering import APPEARANCES
 from knotgym.states import (
     IMAGE_SPLITS,
@@ -190,7 +190,7 @@ def _image_tables(path: Path) -> dict[str, CardTable]:
     rows = read_table(path, columns=[*_COUNTED, "quality"])
     quality = rows["quality"].combine_chunks()
     measures = {
-        field.name: (UNITS.get(field.name, ""), quality.field(field.name).to_numpy())
+        field.name: (Quality.UNITS.get(field.name, ""), quality.field(field.name).to_numpy())
         for field in quality.type
     }
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}

@@ -211,14 +211,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "goal_points": own["goal_points"][episode],
     }
     if pictures:
-        from knotgym.envs import Observer
-
-        observer, ropes = Observer(part.task), own["goal_points"].astype(np.float64)
-        shown = observer.looks(zip(own["goal"].tolist(), ropes, strict=True))
-        goals = observer.alone(ropes, shown)
-        points = steps["observation"].astype(np.float64)
-        each, look = [goals[k] for k in episode], [shown[k] for k in episode]
-        columns["image"] = observer.pixels(points, each, look)[..., :3]
+        columns["image"] = part.pictures(beside_goals=True)[..., :3]
     return Table(ROWS_OF_STEPS, columns)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from knotgym.common import InvalidInput, copy_file
 from knotgym.datasets.cards import citation_file, filled_template, plain, table, write_text
-from knotgym.datasets.episode_dataset import FILE, columns_of, episode_file
+from knotgym.datasets.episode_dataset import FILE, columns_of
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.gallery import episode_tiles, write_gallery
 from knotgym.datasets.located import Located
@@ -32,8 +32,8 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
     entries: dict[str, tuple[object, ...]] = {}
     sources: dict[str, Path] = {}
     for dataset in source.episodes:
-        opened, file = columns_of(dataset), episode_file(dataset)
-        data = file.parent
+        opened = columns_of(dataset)
+        file, data = opened.path, opened.path.parent
         metadata = metadata_of(opened)
         if metadata is None or file.name != FILE:  # a file by itself has no folder to copy
             raise InvalidInput(

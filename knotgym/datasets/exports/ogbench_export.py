@@ -70,16 +70,9 @@ def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
     steps = dataset.episodes.steps
     terminals = np.zeros(steps.rows, dtype=bool)
     terminals[dataset.episodes.last()] = True
-    if look == "state":
-        seen = steps["observation"].reshape(steps.rows, -1)
-    else:
-        from knotgym.envs import Observer
-
-        points, own = steps["observation"].astype(np.float64), dataset.episodes.episodes
-        observer = Observer(dataset.task)
-        shown = observer.looks(zip(own["goal"].tolist(), own["goal_points"], strict=True))
-        each = [look for look, n in zip(shown, own["length"], strict=True) for _ in range(n + 1)]
-        seen = observer.alone(points, each)
+    seen = steps["observation"].reshape(steps.rows, -1)
+    if look != "state":
+        seen = dataset.pictures(beside_goals=False)
     return {"observations": seen, "actions": steps["action"], "terminals": terminals}
 
 

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import GRADES, points_of, read_table, shards, stored_columns
+from knotgym.datasets.image_table import points_of, read_table, shards, stored_columns
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
-from knotgym.quality import UNITS
+from knotgym.quality import GRADES, Quality
 from knotgym.rendering import bead_colours
 from knotgym.rope import Array, RopeConfig
 from knotgym.states import read_states
@@ -158,7 +158,7 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     columns = {name: taken[name].to_pylist() for name in _SHOWN}
     measured = taken["quality"].to_pylist()
     quality = {
-        name: (UNITS.get(name, ""), [one[name] for one in measured])
+        name: (Quality.UNITS.get(name, ""), [one[name] for one in measured])
         for name in (measured or [{}])[0]
     }
     found = _shapes(rows, {**columns, "points": points_of(taken)}, quality)

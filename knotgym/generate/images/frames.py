@@ -27,7 +27,7 @@ from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STARTS, STEPS
 from knotgym.envs import TaskConfig
 from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.quality import LEGIBLE, base_spacing, ease, grade_of, measure
+from knotgym.quality import base_spacing, grade_of, measure
 from knotgym.rendering import APPEARANCES, Drawer
 from knotgym.rope import Array
 from knotgym.runs import Result
@@ -67,7 +67,7 @@ def frames_of(
 
     Returns:
         m frames, by rope and pulls: `points` float64 (m, beads, 3) in metres, `rope`, `pulls` and
-        `nx` int64 (m,), `ease` float64 (m,) without the base bead (see `difficulty.ease`),
+        `nx` int64 (m,), `ease` float64 (m,) without the base bead (see `Quality.ease`),
         `symmetries` int64 (m, SYMMETRIES, 4), which are the fields reflect, switch, reverse and
         base_shift, and `codes` str (m, SYMMETRIES), the Gauss code that each shows, or "-" if a
         crossing would be at the base bead. `camera` float64 (m, 2), tilt and heading, degrees.
@@ -104,7 +104,7 @@ def frames_of(
         rng = Stream.IMAGE_CHOICE.generator(config.seed, rope.number, pulls)
         symmetries = rng.integers((2, 2, 2, len(points)), size=(SYMMETRIES, 4))
         codes = [_shown(points, _symmetry_of(one), config) for one in symmetries]
-        grade = ease(quality, LEGIBLE)
+        grade = quality.ease()
         row = points, rope.number, pulls, crossings.nx, grade, symmetries, codes, sight
         for column, value in zip(rows.values(), row, strict=True):
             column.append(value)

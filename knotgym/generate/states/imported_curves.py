@@ -30,7 +30,7 @@ import numpy as np
 from knotgym.common import InvalidInput, Stream, inner
 from knotgym.generate.states.curve_files import Curve, read_curves
 from knotgym.generate.states.state_rows import judge, row_of, stacked, states_of
-from knotgym.quality import UNITS, Limits, Quality
+from knotgym.quality import Limits, Quality
 from knotgym.rope import Array, Rope, RopeConfig, Simulation, simulation_of
 from knotgym.states import States
 from knotgym.topology import UNKNOWN, GaussCode, knot_type, label, possible_types
@@ -137,11 +137,11 @@ def _candidate(curve: Array, rounds: int, code: GaussCode, rope: Rope) -> Array 
 
 
 def _missed(fault: str, quality: Quality, limits: Limits) -> str:
-    if fault not in UNITS:
+    if fault not in Quality.UNITS:
         return fault
-    return (
-        f"{fault} is {getattr(quality, fault):.3g} {UNITS[fault]}, limit {getattr(limits, fault)}"
-    )
+    value, unit = getattr(quality, fault), Quality.UNITS[fault]
+    value, unit = getattr(quality, fault), Quality.UNITS[fault]
+    return f"{fault} is {value:.3g} {unit}, limit {getattr(limits, fault)}"
 
 
 # Set by hand when pictures were relaxed, too; what other values gave was not recorded. A change
