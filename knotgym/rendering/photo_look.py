@@ -18,7 +18,7 @@ from knotgym.rendering.variation import Appearance
 Array = NDArray[Any]
 
 SURFACES = ("cloth", "wood", "gradient", "noise")
-BACKGROUNDS = (*SURFACES, "clutter", "ropes")
+_BACKGROUNDS = (*SURFACES, "clutter", "ropes")
 WIDTHS = (3.0, 12.0)  # of the rope, px
 TAPE = (200, 30, 36)  # RGB, of the bead before the base
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
@@ -107,11 +107,6 @@ class Photo(Appearance):
     jpeg: int = 100
 
     @property
-    def kind(self) -> str:
-        """The kind of background, one of BACKGROUNDS."""
-        return "ropes" if self.others else "clutter" if self.clutter else self.surface
-
-    @property
     def scale(self) -> float:
         """Pixels per metre."""
         return self.zoom * self.size / DEFAULT.view
@@ -125,7 +120,7 @@ class Photo(Appearance):
 def drawn_look(look: Photo, rng: np.random.Generator) -> Photo:
     """Draw everything but the frame and the rope's colours."""
     # The order of the draws is part of every photo: a new one belongs at the end.
-    kind = BACKGROUNDS[rng.integers(len(BACKGROUNDS))]
+    kind = _BACKGROUNDS[rng.integers(len(_BACKGROUNDS))]
     surface = kind if kind in SURFACES else SURFACES[rng.integers(len(SURFACES))]
     if surface == "wood":
         first = _hsv(rng.uniform(18, 36), rng.uniform(0.3, 0.65), rng.uniform(0.3, 0.9))

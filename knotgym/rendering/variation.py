@@ -126,13 +126,14 @@ class Drawer:
         drawer: Drawer = resolve_name(APPEARANCES[name].drawer)(name)
         return drawer
 
-    def camera(self, config: AppearanceConfig, rng: np.random.Generator) -> tuple[float, float]:
-        """Draw tilt and heading of the camera of a table's picture, degrees."""
-        return 0.0, 0.0
+    def seen(
+        self, points: Array, config: AppearanceConfig, rng: np.random.Generator
+    ) -> tuple[Array, tuple[float, float]]:
+        """Draw the camera of a table's picture; return points (n, 3) in its axes, and it.
 
-    def seen(self, points: Array, camera: tuple[float, float]) -> Array:
-        """Return points (n, 3) in the axes of the camera."""
-        return points
+        A camera is its tilt and its heading, degrees.
+        """
+        return points, (0.0, 0.0)
 
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
         """Draw a rope: uint8 (size, size, 3), RGB; the same arguments give the same bytes."""
@@ -160,9 +161,9 @@ class Drawer:
             rng: source of all draws.
             camera: tilt and heading of the camera, degrees; 0 unless the appearance is tilted.
         """
-        return self.drawn(points, self.appearance(points, config, rng))
+        return self.drawn(points, self._drawn_look(points, config, rng))
 
-    def appearance(
+    def _drawn_look(
         self, points: Array, config: AppearanceConfig, rng: np.random.Generator
     ) -> Appearance:
         """Sample an appearance for a rope."""
@@ -171,7 +172,7 @@ class Drawer:
         size = config.sides[int(rng.integers(len(config.sides)))]
         turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
         width = float(rng.uniform(*config.width)) if "width" in vary else 1.0
-        width, zoom = self.framed(points, size, turn, width)
+        width, zoom = self._framed(points, size, turn, width)
         if "zoom" in vary:
             most = _largest_zoom(points, turn, width)
             low, high = config.zoom
@@ -206,7 +207,7 @@ class Drawer:
             seed=int(rng.integers(2**62)) if noise else 0,
         )
 
-    def framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
+    def _framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
         """Return the factor on the rope's width, and the zoom where it doesn't vary."""
         return width, 1.0
 
@@ -247,7 +248,7 @@ class LineDrawer(Drawer):
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
         return _through_lens(draw_lines(points, look.picture()), look)
 
-    def framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
+    def _framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
         zoom = _largest_zoom(points, turn, width)
         return width * self._width(size, zoom), zoom
 

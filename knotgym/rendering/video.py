@@ -65,7 +65,7 @@ def _captioned(
     return whole
 
 
-def film_frame(
+def _film_frame(
     points: Array,
     goal: Array,
     heading: str,
@@ -141,13 +141,13 @@ class Film:
             ropes: T + 1 states, float64 (beads, 3) each, metres.
             goal: float64 (beads, 3), metres.
             headings: first line of the caption of each state.
-            pulls: the T pulls between the states, as in `film_frame`.
+            pulls: the T pulls between the states, as in `_film_frame`.
             reached: for each state, whether it reaches the goal.
-            views: as in `film_frame`.
+            views: as in `_film_frame`.
         """
         side, last = _film_side([*ropes, goal], views), len(ropes) - 1
         shown = [
-            film_frame(
+            _film_frame(
                 rope,
                 goal,
                 headings[k],
@@ -227,12 +227,12 @@ class PictureWindow:
             points, goal: float64 (beads, 3), metres.
             step: actions taken in the episode; 0 starts a new episode.
             horizon: length of the episode.
-            outcome, views: as in `film_frame`.
+            outcome, views: as in `_film_frame`.
         """
         needed = _film_side([points, goal], views)
         self._side = max(needed, self._side if step else 0.0)
         heading = f"step {step} of {horizon}"
-        frame = film_frame(points, goal, heading, None, outcome, views, self._side)
+        frame = _film_frame(points, goal, heading, None, outcome, views, self._side)
         if self._screen is None:
             self._open(frame.shape[1::-1])
         picture = self._pygame.surfarray.make_surface(frame.swapaxes(0, 1))

@@ -18,17 +18,17 @@ code doesn't end it: a crossing that has only just been made comes undone in the
 After a change run `pytest tests/envs/test_action_views.py`.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
 from knotgym.rope.actions import (
-    CHOICES,
     LONGEST,
     NEAR,
     ROUNDING,
     action_space,
-    choices,
     chosen_forces,
     nearest_beads,
     quantized,
@@ -54,8 +54,9 @@ class ActionView:
     def __init__(self, view: str, simulation: Simulation) -> None:
         self.name, self._simulation = view, simulation
         count, beads = simulation.points.shape[:2]
-        self.counts = choices(view, beads) if view in CHOICES else None
-        (self.size,) = action_space(view, beads).shape or (0,)
+        space: Any = action_space(view, beads)
+        self.counts: NDArray[np.int64] | None = getattr(space, "nvec", None)
+        self.size = int(space.shape[0])
         # those of macro-actions are kept by the controller
         self._actions: NDArray[np.float64] = np.zeros((count, self.size))
         self._lengths = np.ones(count, dtype=np.int64)  # pulls that an action has, at most

@@ -26,10 +26,9 @@ _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 KINDS = ("pass", "curl", "spread", "shift")
 
 # _STRIDE is about what is measured: at full force the pulled bead moves by 48 mm in an action on
-# average. The others were set by hand when play made the states (2026), and no record says what
-# other values gave. A change needs the table of moves made again (`benchmarks/moves.py`), and
-# `expert` and `planner` must succeed as often as docs/benchmark.md says. Lengths are in metres,
-# angles in radians.
+# average. The others were set by hand when play made the states (2026). A change needs the table of
+# moves made again (`benchmarks/moves.py`), and `expert` and `planner` must succeed as often as
+# docs/benchmark.md says. Lengths are in metres, angles in radians.
 _CUMULATIVE = np.cumsum((0.4, 0.25, 0.1, 0.25))  # probabilities of KINDS, summed up
 _ARRIVED = 0.012  # distance at which a waypoint counts as reached
 _STRIDE = 0.045  # what a step at full force moves a bead; it is less if the waypoint is nearer

@@ -60,7 +60,7 @@ _SUMMAND = re.compile(r"(m?)([0-9]+_[0-9]+)")
 
 
 @lru_cache(maxsize=65536)
-def is_unknot(code: GaussCode) -> bool:
+def _is_unknot(code: GaussCode) -> bool:
     """Return whether the rope can be opened to a plain loop.
 
     Args:
@@ -81,7 +81,7 @@ def knot_type(code: GaussCode) -> str:
     """Return the knot type: types of at most 10 crossings joined by "#", or "unknown".
 
     Args:
-        code: a planar code; chirality is optional as for `is_unknot`.
+        code: a planar code; chirality is optional as for `_is_unknot`.
 
     Raises:
         InvalidInput: no closed curve shows the code.
@@ -108,8 +108,8 @@ def possible_types(code: GaussCode) -> list[str]:
 
     Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
     """
-    parts = summands(simplify(code))
-    return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
+    _parts = summands(simplify(code))
+    return _types_from_polynomials(_parts[0]) if len(_parts) == 1 else []
 
 
 def shows(code: GaussCode, knot: str) -> bool:
@@ -130,7 +130,7 @@ def shows(code: GaussCode, knot: str) -> bool:
     False
     """
     if type_of(knot) == UNKNOT:
-        return is_unknot(code)
+        return _is_unknot(code)
     # the type first: it is cached by code, and a Jones polynomial is dear
     if knot_type(code) != type_of(knot):
         return False
@@ -140,7 +140,7 @@ def shows(code: GaussCode, knot: str) -> bool:
 @lru_cache(maxsize=32)
 def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
     """Return all codes of a knot type with nx crossings, without chirality, in order of visits."""
-    certified = is_unknot if knot == UNKNOT else lambda code: knot_type(code) == knot
+    certified = _is_unknot if knot == UNKNOT else lambda code: knot_type(code) == knot
     return tuple(
         sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits)
     )
@@ -155,7 +155,7 @@ def _is_trivial(summand: GaussCode) -> bool:
     # Beyond the proof's reach fewer crossings may bring it back within, so the diagram is
     # simplified and asked about again.
     if summand.nx > JONES_DECIDES and (smaller := simplify(summand)).nx < summand.nx:
-        return is_unknot(smaller)
+        return _is_unknot(smaller)
     if jones_polynomial(summand) != ((0, 1),):
         return False
     if summand.nx <= JONES_DECIDES:

@@ -18,7 +18,7 @@ X[1,2,2,1], X[2,1,1,2] and X[2,2,1,1]), so every code comes back as it was.
 A DT (Dowker-Thistlethwaite) code pairs the two visits of each crossing, of which one is odd and one
 even in every planar diagram. It lists the even partners of 1, 3, 5, ..., negative if the even visit
 is the upper one. It has the same information as a Gauss code without chirality, so handedness is
-lost, separately for each summand (`diagrams.parts`): the granny knot and the square knot share
+lost, separately for each summand (`diagrams._parts`): the granny knot and the square knot share
 their DT codes.
 
 The plain loop is written [] in both, as by spherogram; KnotInfo leaves it blank, and KnotTheory's
@@ -71,13 +71,13 @@ def pd_code(code: GaussCode) -> list[list[int]]:
     return crossings
 
 
-def dt_code(code: GaussCode) -> list[int]:
+def _dt_code(code: GaussCode) -> list[int]:
     """Return the even partners of the visits 1, 3, 5, ..., negative where the even one is over.
 
     Args:
         code: a planar code; chirality is ignored.
 
-    >>> dt_code(GaussCode.parse("1+,2-,3+,1-,4+,3-,2+,4-"))  # the figure-eight knot
+    >>> _dt_code(GaussCode.parse("1+,2-,3+,1-,4+,3-,2+,4-"))  # the figure-eight knot
     [4, 6, 8, 2]
     """
     # In a planar diagram the two visits of a crossing have an even number of visits between them,
@@ -101,7 +101,7 @@ def dt_text(code: GaussCode) -> str:
     >>> dt_text(GaussCode.parse("1+,1-"))
     '[2]'
     """
-    return json.dumps(dt_code(code))
+    return json.dumps(_dt_code(code))
 
 
 def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
@@ -317,7 +317,7 @@ def _from_over_under(text: str) -> GaussCode:
     if re.sub(r"[\s,;-]", "", _OVER_UNDER.sub("", text)):
         raise _invalid("it can't be read", text, "Gauss", "expected such as O1-U2-O3-U1-O2-U3-")
     _require_size(len(visits) // 2)
-    # O1-U2-O3 parts visits by "-"; only where the last visit has a sign, too, are they signs
+    # O1-U2-O3 _parts visits by "-"; only where the last visit has a sign, too, are they signs
     signed = bool(visits) and all(sign for _, _, sign in visits)
     if "+" in [sign for _, _, sign in visits] and not signed:
         expected = "give every visit its crossing's sign"

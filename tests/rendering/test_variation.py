@@ -15,7 +15,7 @@ from .test_picture import shown_strands
 
 VARIED = APPEARANCES[PUBLISHED].vary
 ALL = AppearanceConfig(vary=VARIED, sizes=(64, 128, 256))
-appearance, render = Drawer(PUBLISHED).appearance, Drawer(PUBLISHED).image
+appearance, render = Drawer(PUBLISHED)._drawn_look, Drawer(PUBLISHED).image
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from knotgym.common import InvalidInput
 from knotgym.topology.diagrams import (
+    _parts,
     chiralities,
     faces,
     is_planar,
-    parts,
     planar_codes,
     summands,
     with_chirality,
@@ -40,7 +40,7 @@ def test_planar_codes_and_chiralities_are_the_listed_ones(nx: int) -> None:
 )
 def test_longer_planar_codes_are_as_many_as_they_should(nx: int, codes: int, chiral: int) -> None:
     found = list(planar_codes(nx))
-    assert (len(set(found)), sum(2 ** (max(parts(code)) + 1) for code in found)) == (codes, chiral)
+    assert (len(set(found)), sum(2 ** (max(_parts(code)) + 1) for code in found)) == (codes, chiral)
 
 
 @given(planar)

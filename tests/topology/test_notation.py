@@ -16,13 +16,13 @@ from knotgym.rope import MUJOCO, simulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import notation
 from knotgym.topology.crossings import label_many
-from knotgym.topology.diagrams import parts, uniform_code, with_chirality
+from knotgym.topology.diagrams import _parts, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import _prime_diagrams, diagram_of, is_unknot, knot_type
+from knotgym.topology.knots import _is_unknot, _prime_diagrams, diagram_of, knot_type
 from knotgym.topology.notation import (
+    _dt_code,
     _from_dt,
     _from_pd,
-    dt_code,
     dt_text,
     parse_code,
     parse_codes,
@@ -61,7 +61,7 @@ def test_larger_codes_come_back(nx: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     code = with_chirality(uniform_code(min(nx, 9), rng))
     assert _from_pd(rng.permutation(pd_code(code)).tolist()) == code
-    assert _from_dt(dt_code(code)) == code.plain
+    assert _from_dt(_dt_code(code)) == code.plain
 
 
 def test_a_kink_is_told_from_its_mirror_images() -> None:
@@ -72,7 +72,7 @@ def test_a_kink_is_told_from_its_mirror_images() -> None:
 def test_dt_loses_the_handedness_of_each_summand() -> None:
     granny, square = (diagram_of(name) for name in ("3_1#3_1", "3_1#m3_1"))
     switched = GaussCode(granny.visits, "ccc" + "aaa")
-    assert dt_code(switched) == dt_code(granny) and max(parts(granny)) == 1
+    assert _dt_code(switched) == _dt_code(granny) and max(_parts(granny)) == 1
     assert knot_type(switched) == knot_type(square) and pd_code(switched) != pd_code(granny)
 
 
@@ -197,7 +197,7 @@ def require_same_abroad(code: GaussCode, knot: str) -> None:
         assert _from_dt([*link.DT_code()[0]]) == code.plain
         # its own reader of DT codes fails at nugatory crossings, and may never return
         if without_nugatory(code):
-            again = spherogram.Link(f"DT: [{tuple(dt_code(code))}]")
+            again = spherogram.Link(f"DT: [{tuple(_dt_code(code))}]")
             read = _from_dt([*again.DT_code()[0]])  # at another base point, or switched
             assert canonical(read, Symmetry.DIAGRAM) == canonical(code, Symmetry.DIAGRAM)
     link.simplify("basic")
@@ -211,7 +211,7 @@ def require_same_abroad(code: GaussCode, knot: str) -> None:
 
 
 def without_nugatory(code: GaussCode) -> bool:
-    return 1 not in Counter(parts(code)).values()
+    return 1 not in Counter(_parts(code)).values()
 
 
 def mirrored(ranks: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
@@ -229,7 +229,7 @@ def test_spherogram_reads_and_writes_every_code_of_up_to_four_crossings() -> Non
 def test_spherogram_reads_and_writes_the_codes_of_random_ropes() -> None:
     pytest.importorskip("spherogram")
     for code in rope_codes(1000):
-        assert is_unknot(code)
+        assert _is_unknot(code)
         require_same_abroad(code, "0_1")
 
 
@@ -255,7 +255,7 @@ def test_snappy_sees_one_manifold_in_our_codes_and_in_knotinfos_name() -> None:
     for name in ("4_1", "5_2", "8_20", "9_49", "10_161", "10_165"):
         code = diagram_of(name)
         ours = snappy.Link(pd_code(code)).exterior()
-        dt = snappy.Manifold(f"DT:[{tuple(dt_code(code))}]")
+        dt = snappy.Manifold(f"DT:[{tuple(_dt_code(code))}]")
         assert ours.is_isometric_to(dt)
         # Rolfsen lists one knot twice, as 10_161 and 10_162
         rolfsen = name.replace("10_165", "10_166")

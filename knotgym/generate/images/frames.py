@@ -85,8 +85,7 @@ def frames_of(
         rope = ropes[index]
         if kind.tilted:
             camera = Stream.IMAGE_CAMERA.generator(config.seed, rope.number, pulls)
-            sight = drawer.camera(look, camera)
-            points = drawer.seen(points, sight)
+            points, sight = drawer.seen(points, look, camera)
         crossings = find_crossings(points)
         if crossings.nx not in wanted[rope.split]:
             dropped["crossings"] += 1

@@ -26,9 +26,9 @@ from knotgym.rope.model import Array, Rope
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
 SIDE = slice(layout.SIDE, layout.SPUN)
-# No other values are on record. A pull of 0.2 N lengthens an edge by 2e-5 m/s, which `set_lengths`
-# undoes; beside it stand m / h = 0.2 kg/s of a bead, so a stiffer edge would only cost digits. The
-# floor leaves 2.5 mm between two axes for the proof of passage.
+# Recordings that ship were made with both. A pull of 0.2 N lengthens an edge by 2e-5 m/s, which
+# `set_lengths` undoes; beside it stand m / h = 0.2 kg/s of a bead, so a stiffer edge would only
+# cost digits. The floor leaves 2.5 mm between two axes for the proof of passage.
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters
 _WEIGHT = float.fromhex("0x1.d0df64e796899p+8")  # inverse masses of two beads, 1/kg; see `_settled`

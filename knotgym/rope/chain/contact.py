@@ -44,9 +44,9 @@ Ints = NDArray[np.int64]
 # pairs of edges: `start` (n + 1,) and `other`, i with each of other[start[i] : start[i + 1]]
 Pairs = tuple[Ints, Ints]
 
-# LISTED and DRIFT trade the length of the list against how often it is made, and change no result:
-# `passage.longest_edge` says which edges they are wide enough for. Why these two, no record says;
-# `python benchmarks/chain.py speed` would tell.
+# LISTED and DRIFT trade the length of the list against how often it is made, and change no result
+# (`python benchmarks/chain.py speed`); `passage.longest_edge` says for which edges they are wide
+# enough.
 LISTED = 0.048  # m, between midpoints
 DRIFT = 0.004  # m
 # The fastest vertex of a substep may move further, 11 mm at full force (median): what is missed so,
