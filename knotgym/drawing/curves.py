@@ -9,6 +9,8 @@ After a change run `pytest tests/drawing`, then `knotgym generate --no-demonstra
 --every-code 1`: all 401 codes must be drawn.
 """
 
+import math
+
 import numpy as np
 
 from knotgym.common import Failed, InvalidInput
@@ -81,11 +83,13 @@ def _flat(
         flat: float64 (n, 2), a closed polyline of length 1.
         visits: int64 (2 nx,), its vertices that are the visits.
     """
-    sizes = np.array([len(walk) for walk in faces(code)], dtype=np.float64)
+    sizes = [len(walk) for walk in faces(code)]
     # a large face outside leaves the small ones room to grow inside
-    chances = sizes**config.outer
+    # Python's powers and exponentials, because NumPy's round by processor
+    chances = np.array([size**config.outer for size in sizes])
     outer = int(rng.choice(len(sizes), p=chances / chances.sum()))
-    shares = np.exp(config.uneven * rng.normal(size=len(sizes)))
+    drawn = config.uneven * rng.normal(size=len(sizes))
+    shares = np.array([math.exp(one) for one in drawn.tolist()])
     shares[outer] = 0.0
     of = planar_map(code, outer)
     # the nodes on the rope come first; those inside the faces have done their work

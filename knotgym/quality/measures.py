@@ -148,7 +148,7 @@ def _angle(points: Array, over: float, under: float) -> float:
     a, b = (at(visit + 1) - at(visit - 1) for visit in (over, under))
     # written out, because the last bit of `a @ b` depends on the processor
     cross, dot = a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1]
-    return float(np.degrees(np.arctan2(abs(cross), abs(dot))))
+    return math.degrees(math.atan2(abs(cross), abs(dot)))  # NumPy's rounds by processor
 
 
 def _faces(pixels: Array, crossings: Crossings) -> Array:

@@ -101,7 +101,7 @@ class PhotoView:
         self.after = np.append(np.arange(1, len(self.curve)), 0)
         self.over, self.under = shown.over_place, shown.under_place
         places = np.concatenate([self.over, self.under])
-        order = np.argsort(places)
+        order = np.argsort(places, kind="stable")
         self.visits, self.goes_over = places[order], order < len(self.over)
         flat = self.curve[:, :2]
         step = flat[self.after] - flat

@@ -178,7 +178,9 @@ def require_embedded(curve: Array) -> None:
         one, other = int(turned_back[0]), (int(turned_back[0]) + 1) % len(points)
     else:
         low, high = (end(points, np.roll(points, -1, axis=0)) for end in (np.minimum, np.maximum))
-        one, other = _meeting(points, low - _SAME, high + _SAME, np.argsort(low[:, 0]))
+        one, other = _meeting(
+            points, low - _SAME, high + _SAME, np.argsort(low[:, 0], kind="stable")
+        )
     if one != other:
         raise InvalidInput(
             f"it isn't embedded, so it has no knot: after point {kept[one] + 1} it meets itself"

@@ -11,6 +11,7 @@ After a change run `pytest tests/rope/test_macro_actions.py tests/control/planni
 fixed order, and passes must lead where the table of moves says.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -109,7 +110,7 @@ class MacroAction:
         offset = points[move.target, :2] - points[move.bead, :2]
         # a strand farther away than that is approached without being passed
         far = min(float(np.hypot(*offset)), _FARTHEST)
-        heading = np.arctan2(offset[1], offset[0]) + turn
+        heading = math.atan2(offset[1], offset[0]) + turn
         # relative to the strand to pass, not to the bead
         height = points[move.target, 2] + move.side * LIFT
         waypoints = _waypoints(points, move.bead, heading, height, min(RISE, far), far + beyond)
@@ -158,7 +159,7 @@ def _aside(points: Array, kind: str, bead: int, side: int, rng: np.random.Genera
     height = points[bead, 2]
     if kind == "spread":
         side = 0  # whatever was drawn: the bead stays at its height
-        heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, _SPREAD_ANGLE)
+        heading = math.atan2(offset[1], offset[0]) + rng.normal(0, _SPREAD_ANGLE)
     else:  # a shift heads anywhere, above or below what lies in its way
         height = height + side * LIFT
         heading = rng.uniform(-np.pi, np.pi)

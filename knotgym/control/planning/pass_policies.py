@@ -216,6 +216,6 @@ def _together(parts: list[Pulls]) -> Pulls:
     ]
     ids = np.concatenate([one.ids for one in parts])
     # lanes in increasing order, as `rollouts` checks
-    order = np.argsort(ids)
+    order = np.argsort(ids, kind="stable")
     beads, forces = (np.concatenate([one[k] for one in parts])[order] for k in (1, 2))
     return Pulls(ids[order], beads, forces, np.concatenate(macros)[order])

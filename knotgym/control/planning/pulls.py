@@ -213,16 +213,17 @@ class _Pool:
         # A code's weight falls with its distance to the goal (greed), with how often it was tried
         # (weariness), and with the estimated length of an episode through it (patience). Lengths
         # are compared to the shortest one, which keeps the exponentials from underflowing.
+        # Python's powers and exponentials, because NumPy's round by processor.
         late = self._earliest + self._left
         weights = (
-            (1 + self._distance) ** -_GREED
+            np.array([(1 + one) ** -_GREED for one in self._distance.tolist()])
             / (1 + self._tries / _WEARINESS)
-            * np.exp(-(late - late.min()) / _PATIENCE)
+            * [math.exp(-one / _PATIENCE) for one in (late - late.min()).tolist()]
         )
         row = _drawn_index(weights, rng)
         # among the code's states: early ones, and ones tried less often
         nodes = self._nodes[row]
-        fresh = [np.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in nodes]
+        fresh = [math.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in nodes]
         node = nodes[_drawn_index(np.array(fresh), rng)]
         node.tries += 1
         self._tries[row] += 1
