@@ -24,7 +24,7 @@ EXPECTED = {
     "MuJoCo, 30 actions": "694cff86df4b",
     "Gauss codes": "56d42c1eca22",
     "drawn curves": "aa71a939c4f9",
-    "generated states": "122388e9ddee",
+    "generated states": "0200bc565387",
     "picture": "0390255c8d21",
     "photo": "0fda8e85acb9",
     "expert's episode": "a8f548dab19c",

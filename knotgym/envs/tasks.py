@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 import knotgym
 from knotgym.common import Distinct, InvalidInput, Mark, choice, configuration
 from knotgym.quality import RESET_NOISE
-from knotgym.rendering import APPEARANCES, AppearanceName, PictureConfig, Views
+from knotgym.rendering import APPEARANCES, AppearanceName, CameraName, PictureConfig, Views
 from knotgym.rope import MUJOCO, EngineName
 from knotgym.states import CODE_SPLITS, STATE_SPLITS
 
@@ -141,7 +141,7 @@ class TaskConfig:
     views: Views = ("top",)
     depth: bool = False
     layout: Annotated[str, choice("beside", "stacked")] = "beside"
-    camera: Annotated[str, choice("orthographic", "perspective")] = "orthographic"
+    camera: CameraName = "orthographic"
     appearance: AppearanceName = "published"
     renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
     # an action takes 0.192 s; with fewer steps, ropes under large forces blow up

@@ -2,6 +2,8 @@ from .appearances import APPEARANCES as APPEARANCES
 from .appearances import AppearanceConfig as AppearanceConfig
 from .appearances import AppearanceKind as AppearanceKind
 from .appearances import AppearanceName as AppearanceName
+from .camera import CAMERAS as CAMERAS
+from .camera import CameraName as CameraName
 from .camera import PictureConfig as PictureConfig
 from .camera import Views as Views
 from .camera import bead_colours as bead_colours

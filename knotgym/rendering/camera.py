@@ -17,13 +17,13 @@ published one, and beads be drawn where they are projected.
 """
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field, PositiveFloat
 
-from knotgym.common import InvalidInput, configuration
+from knotgym.common import InvalidInput, choice, configuration
 
 RGB = tuple[int, int, int]
 Level = Annotated[int, Field(ge=0, le=255)]
@@ -36,8 +36,7 @@ _AXES = {
     "left": ((1, 2, 0), (-1.0, 1.0, -1.0)),
     "front": ((0, 2, 1), (1.0, 1.0, -1.0)),
 }
-FOVY = 45.0  # field of view of the perspective camera, degrees
-_NEAR = 0.01  # near plane of the perspective camera, metres
+NEAR = 0.01  # near plane of cameras whose rays aren't parallel, metres
 USUAL_BEADS = 100  # of the rope that `PictureConfig.view` shows whole
 
 
@@ -47,6 +46,31 @@ def _known(views: tuple[str, ...]) -> tuple[str, ...]:
     return views
 
 
+class Camera(NamedTuple):
+    """How a picture is projected.
+
+    Attributes:
+        says: what it is, for help.
+        fovy: field of view, degrees; None for parallel rays.
+    """
+
+    says: str
+    fovy: float | None
+
+
+# Every picture, environment and renderer knows a camera by its record here.
+CAMERAS = {
+    "orthographic": Camera("parallel rays: the top view shows the crossings of the code", None),
+    "perspective": Camera("published", 45.0),
+}
+
+
+def camera_help() -> str:
+    """Return the help of a setting that names a camera."""
+    return f"{', '.join(f'{name} ({one.says})' for name, one in CAMERAS.items())}."
+
+
+CameraName = Annotated[str, choice(growing=CAMERAS, help=camera_help)]
 Views = Annotated[tuple[str, ...], AfterValidator(_known)]  # in a configuration
 
 
@@ -67,9 +91,9 @@ class PictureConfig:
             nearer to the camera. 128 is the rope's centre of mass; one level is view / 254,
             2.6 mm. Depths more than view / 2 from the centre are clipped.
         view: side of the square that the orthographic picture shows, metres.
-        camera: "orthographic" (parallel rays, so that the top view shows exactly the crossings of
-            the Gauss code) or "perspective" (published).
-        camera_height: distance of the perspective camera from the centre of mass, metres.
+        camera: one of CAMERAS.
+        camera_height: distance of a camera whose rays aren't parallel from the centre of mass,
+            metres.
         turn: rotation of the camera about its line of sight, radians, anticlockwise seen from
             behind it; the rope appears rotated the other way.
         zoom: magnification about the picture's centre.
@@ -87,7 +111,7 @@ class PictureConfig:
     views: Views = ("top",)
     depth: bool = False
     view: PositiveFloat = 0.66
-    camera: Literal["orthographic", "perspective"] = "orthographic"
+    camera: CameraName = "orthographic"
     camera_height: PositiveFloat = 0.8
     turn: float = 0.0
     zoom: PositiveFloat = 1.0
@@ -108,12 +132,17 @@ class PictureConfig:
         return cls(view=view, camera_height=height, **settings)
 
     @property
+    def fovy(self) -> float | None:
+        """Field of view of the camera, degrees; None for parallel rays."""
+        return CAMERAS[self.camera].fovy
+
+    @property
     def pixels_per_metre(self) -> float:
         """Scale of the picture; in perspective, at the height of the centre of mass."""
-        if self.camera == "orthographic":
+        if self.fovy is None:
             return self.zoom * self.size / self.view
         # pictures are square, so one angle holds for both axes
-        visible = 2.0 * self.camera_height * math.tan(math.radians(FOVY) / 2.0)  # metres
+        visible = 2.0 * self.camera_height * math.tan(math.radians(self.fovy) / 2.0)  # metres
         return self.zoom * self.size / visible
 
     @property
@@ -191,12 +220,12 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
     Returns:
         float64, shape (n,), NaN behind the near plane of the perspective camera.
     """
-    if config.camera == "orthographic":
+    if config.fovy is None:
         return np.full(offset.shape[:-1], config.pixels_per_metre)
     # Similar triangles: at the centre of mass the scale is `pixels_per_metre`, at half its distance
     # from the camera twice that.
     depth = config.camera_height - offset[..., 2]
-    return config.pixels_per_metre * config.camera_height / np.where(depth > _NEAR, depth, np.nan)
+    return config.pixels_per_metre * config.camera_height / np.where(depth > NEAR, depth, np.nan)
 
 
 def checked_points(points: ArrayLike, *axes: int) -> NDArray[np.float64]:

@@ -27,9 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed
-from knotgym.rendering.camera import FOVY, PictureConfig
+from knotgym.rendering.camera import NEAR, PictureConfig
 
-_NEAR = 0.01  # near plane of the camera, metres
 _MARGIN = 0.5  # free space above and below the rope, metres
 _SAMPLES = 4  # along each side of a pixel, averaged
 
@@ -132,23 +131,23 @@ class _Painter:
 
     def _look(self, points: NDArray[np.float64], config: PictureConfig) -> None:
         """Place the camera as config says; points are relative to their mean."""
-        if config.camera == "orthographic":
+        if config.fovy is None:
             # rays are parallel, so any height above the rope shows the same
             height = float(points[:, 2].max()) + _MARGIN
             half = 0.5 * config.view / config.zoom
         else:
             height = config.camera_height
             # MuJoCo's frustum is given at the near plane
-            half = _NEAR * math.tan(0.5 * math.radians(FOVY)) / config.zoom
+            half = NEAR * math.tan(0.5 * math.radians(config.fovy)) / config.zoom
         # a scene has two cameras, one for each eye; MuJoCo draws from between them
         for camera in self._scene.camera:
             camera.pos = [0.0, 0.0, height]
             camera.forward = [0.0, 0.0, -1.0]
             camera.up = [-math.sin(config.turn), math.cos(config.turn), 0.0]
-            camera.orthographic = int(config.camera == "orthographic")
+            camera.orthographic = int(config.fovy is None)
             camera.frustum_center, camera.frustum_width = 0.0, half
             camera.frustum_bottom, camera.frustum_top = -half, half
-            camera.frustum_near = _NEAR
+            camera.frustum_near = NEAR
             camera.frustum_far = height - float(points[:, 2].min()) + _MARGIN
 
     def close(self) -> None:

@@ -130,7 +130,7 @@ def in_picture(
     """
     offset = points - (points.mean(axis=1, keepdims=True) if center is None else center)
     pixels, height = project(points, config, center), np.ascontiguousarray(offset[..., 2])
-    if config.camera == "perspective":
+    if config.fovy is not None:
         # negative, so that nearer is higher under both cameras
         height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=-1)
     # each vertex has a radius of its own, as perspective widens what is near
@@ -140,7 +140,7 @@ def in_picture(
 
 def depths_of(config: PictureConfig) -> Depths:
     """Return the levels of depth: half of them in front of the centre of mass."""
-    middle = 0.0 if config.camera == "orthographic" else -config.camera_height
+    middle = 0.0 if config.fovy is None else -config.camera_height
     return Depths(config.pixels_per_metre * middle, config.pixels_per_metre * config.view)
 
 

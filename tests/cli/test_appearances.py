@@ -1,4 +1,4 @@
-"""A new appearance is one record, and is known everywhere."""
+"""A new appearance or camera is one record, and is known everywhere."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,14 @@ from knotgym.control import dataset_faults
 from knotgym.datasets import decode, read_rows
 from knotgym.envs import TaskConfig
 from knotgym.generate import ImagesConfig, make_images
-from knotgym.rendering import APPEARANCES, AppearanceConfig, AppearanceKind, Drawer
+from knotgym.rendering import (
+    APPEARANCES,
+    CAMERAS,
+    AppearanceConfig,
+    AppearanceKind,
+    Drawer,
+    PictureConfig,
+)
 from knotgym.runs import RunOptions
 
 
@@ -52,3 +59,16 @@ def test_an_appearance_is_added_by_one_record(
     assert seen.shape == (64, 128, 3) and (seen[0] == 255).all()
     with pytest.raises(InvalidInput, match='appearance "negative" is the orthographic top view'):
         gym.make("knotgym/Tie-v0", appearance="negative", depth=True)
+
+
+def test_a_camera_is_added_by_one_record(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InvalidInput, match="must be one of orthographic, perspective"):
+        PictureConfig(camera="tele")
+    monkeypatch.setitem(CAMERAS, "tele", CAMERAS["perspective"]._replace(says="far", fovy=20.0))
+    assert field_help(TaskConfig, "camera").endswith("tele (far).")
+    near, far = (
+        gym.make("knotgym/Tie-v0", nx=1, camera=camera, image_size=64, engine="chain")
+        for camera in ("perspective", "tele")
+    )
+    shown = [(env.reset(seed=0)[0][:, :64] > 0).any(axis=2).mean() for env in (near, far)]
+    assert shown[1] > 2 * shown[0] > 0, "the rope fills more of a narrower view"
