@@ -17,13 +17,13 @@ from __future__ import annotations
 import itertools
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Column, Schema, Table, read_tables, write_tables
+from knotgym.common import Column, InvalidFile, Schema, Table, read_tables, write_tables
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.rope import Array, Pass
 from knotgym.topology import GaussCode, Symmetry, letters_of
@@ -41,7 +41,7 @@ NODES = Schema(
 MOVES = Schema(
     "moves",
     (
-        Column("kind", "uint8", doc="what `target` is: 0 a position, 1 a number of beads"),
+        Column("kind", "uint8", doc="what `target` is, a row of KINDS"),
         Column("bead", "int16", (), "0.01 arcs", "position of the bead that is led"),
         Column("target", "int16", (), "0.01 arcs", "of the strand to pass, or beads to it"),
         Column("side", "int8", doc="+1 over the strand, -1 under it"),
@@ -61,7 +61,36 @@ OUTCOMES = Schema(
 )  # fmt: skip
 
 _NAMES = [column.name for column in OUTCOMES.columns]
-AT, ALONG = range(2)  # kinds of moves: past the strand at a position, or so many beads away
+AT, ALONG = range(2)
+
+
+class MoveKind(NamedTuple):
+    """What the target of a move is.
+
+    Attributes:
+        bead: (target, bead, flip, sight) -> the bead that it means, where `bead` is the one that is
+            led, and flip is 0, or 2 nx + 1 if the rope is walked backwards.
+        reversed: (target, nx) -> the target of the same move, walked backwards.
+    """
+
+    bead: Callable[[int, int, int, Sight], int]
+    reversed: Callable[[int, int], int]
+
+
+# By the number that tables store, so rows are only appended. Walked backwards, what lay at position
+# p along the 2 nx + 1 arcs lies at 2 nx + 1 - p; `abs`: with flip 0, the position itself is meant.
+KINDS = (
+    MoveKind(  # AT: the strand at a position
+        lambda target, _, flip, sight: sight.bead(abs(flip - _arcs(target))),
+        lambda target, nx: 100 * (2 * nx + 1) - target,
+    ),
+    MoveKind(  # ALONG: the strand so many beads from the one that is led
+        lambda target, bead, flip, sight: (
+            (bead + (-target if flip else target)) % int(sight.cuts[-1])
+        ),
+        lambda target, _: -target,
+    ),
+)
 
 # An outcome: before, number of the move, after, how often it led there, how often it was made
 MoveRow = tuple[Diagram, int, Diagram, int, int]
@@ -71,9 +100,9 @@ class PassTemplate(NamedTuple):
     """A pass in terms of a diagram.
 
     Attributes:
-        kind: AT or ALONG.
+        kind: row of KINDS.
         bead: position of the bead in hundredths of an arc, of which each is a whole number.
-        target: AT: position of the strand to pass; ALONG: beads from the bead to the strand.
+        target: the strand to pass, as its kind says.
         side: +1 over the strand, -1 under it.
     """
 
@@ -84,22 +113,16 @@ class PassTemplate(NamedTuple):
 
     def on(self, sight: Sight, image: int) -> Pass:
         """Return the pass of a rope whose diagram is the image of the template's diagram."""
-        # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
-        # `abs`: without a reversal flip is 0, and the position itself is meant.
         flip = 2 * sight.diagram.nx + 1 if image & Symmetry.REVERSE else 0
         bead = sight.bead(abs(flip - _arcs(self.bead)))
-        if self.kind == ALONG:
-            target = (bead + (-self.target if flip else self.target)) % int(sight.cuts[-1])
-        else:
-            target = sight.bead(abs(flip - _arcs(self.target)))
+        target = KINDS[self.kind].bead(self.target, bead, flip, sight)
         return Pass(bead, target, -self.side if image & Symmetry.SWITCH else self.side)
 
     def image(self, number: int, nx: int) -> PassTemplate:
         """The template of the image of a diagram of nx crossings."""
         kind, bead, target, side = self
         if number & Symmetry.REVERSE:
-            flip = 100 * (2 * nx + 1)
-            bead, target = flip - bead, -target if kind == ALONG else flip - target
+            bead, target = 100 * (2 * nx + 1) - bead, KINDS[kind].reversed(target, nx)
         return PassTemplate(kind, bead, target, -side if number & Symmetry.SWITCH else side)
 
 
@@ -213,6 +236,8 @@ class Moves:
         (nodes, moves, outcomes), _ = read_tables(
             path, NODES, MOVES, OUTCOMES, format=FORMAT, version=VERSION
         )
+        if (kind := int(moves["kind"].max(initial=0))) >= len(KINDS):
+            raise InvalidFile(f"{path} has moves of kind {kind}, and KINDS here has {len(KINDS)}")
         made = zip(*(moves[column.name].tolist() for column in MOVES.columns), strict=True)
         table = cls(templates=[PassTemplate(*one) for one in made])
         columns = (nodes[name].tolist() for name in ("visits", "signs", "outer"))

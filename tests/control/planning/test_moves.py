@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, MissingFile
-from knotgym.control.planning.moves import ALONG, AT, Moves, PassTemplate
+from knotgym.control.planning import moves
+from knotgym.control.planning.moves import ALONG, AT, KINDS, MoveKind, Moves, PassTemplate
 from knotgym.control.planning.sights import IMAGES, Diagram
 from knotgym.topology import GaussCode, chiralities, codes_of
 
@@ -72,6 +73,26 @@ def test_a_template_s_image_twice_is_the_template(kind: int) -> None:
     one = PassTemplate(kind, 230, 470 if kind == AT else -14, 1)
     assert len({one.image(k, 3) for k in range(IMAGES)}) == 4  # a reflection changes no position
     assert all(one.image(k, 3).image(k, 3) == one for k in range(IMAGES))
+
+
+def test_a_kind_of_move_is_added_by_one_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opposite = MoveKind(
+        lambda target, bead, flip, sight: (
+            (bead + 50 - target if flip else bead + 50 + target) % 100
+        ),
+        lambda target, nx: -target,
+    )
+    node = Diagram(GaussCode.parse("1+a,1-a"), ())
+    one = PassTemplate(len(KINDS), 130, 3, 1)
+    with monkeypatch.context() as changed:
+        changed.setattr(moves, "KINDS", (*KINDS, opposite))
+        Moves([(node, 0, node, 1, 2)], [one]).save(tmp_path / "moves.h5")
+        (read,) = Moves.load(tmp_path / "moves.h5").templates
+        assert read == one and all(one.image(k, 3).image(k, 3) == one for k in range(IMAGES))
+    with pytest.raises(InvalidFile, match="moves of kind 2, and KINDS here has 2"):
+        Moves.load(tmp_path / "moves.h5")
 
 
 def test_a_table_survives_its_file(tmp_path: Path) -> None:
