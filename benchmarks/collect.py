@@ -14,13 +14,14 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from knotgym.control import PolicyConfig
-from knotgym.datasets import FILE, columns_of, write_episodes, write_minari
+from knotgym.datasets import MinariMetadata, columns_of, open_episodes, publish, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import CollectConfig, collect
 from knotgym.rope import ChainSimulation
@@ -61,15 +62,20 @@ def measure(policy: str, nx: int, episodes: int, folder: Path) -> None:
     before = engine_rate(starts)
 
     def collected() -> tuple[Path, int]:
-        out = collect(config, folder, OPTIONS) / "data" / FILE
+        out = open_episodes(collect(config, folder, OPTIONS)).path
         return out, int(columns_of(out).episodes.episodes["length"].sum())
 
     spent, (out, steps) = seconds(collected)
     engine = (before + engine_rate(starts)) / 2
     few_config = replace(config, episodes=64, form="minari")
     dataset, made = columns_of(out), collect(few_config, folder / "few", OPTIONS)
-    published = columns_of(made / "data" / FILE)
-    minari, _ = seconds(lambda: write_minari(published, made / "data"))
+    published = columns_of(made)
+    metadata = MinariMetadata(**(published.metadata or {}))
+    write = partial(publish, [published.episodes], task, metadata)
+    minari, plain = (
+        seconds(partial(write, folder / form, form=form))[0] for form in ("minari", "columns")
+    )
+    minari -= plain
     few = int(published.episodes.episodes["length"].sum())
     write_episodes(folder / "recording.h5", [dataset.episodes.recording()], task)
     sizes = [path.stat().st_size / steps for path in (out, folder / "recording.h5")]

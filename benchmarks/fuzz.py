@@ -31,7 +31,6 @@ import numpy as np
 from rich.console import Console
 
 from knotgym.cli import COMMANDS, application, main
-from knotgym.datasets import FILE
 
 DATASET = "show verify gallery replay page select split delete merge import export".split()
 NAMES = [*(name for name in COMMANDS if name not in ("dataset", "play", "demo"))]
@@ -128,7 +127,7 @@ def sandbox(folder: Path) -> None:
     ):
         assert played(words, 600).status == 0, words
     shutil.copy("set/states.h5", "states.h5")
-    shutil.copy(next(Path("minari").rglob(FILE)), "episodes.h5")
+    shutil.copy(next(Path("minari").rglob("episodes.h5")), "episodes.h5")
     Path("cut.h5").write_bytes(Path("states.h5").read_bytes()[:5000])
     Path("empty").touch()
     Path("noise").write_bytes(np.random.default_rng(0).bytes(5000))

@@ -27,7 +27,6 @@ from typing import Any
 from scores import CELL, LINE, read_scores
 
 from knotgym.common import InvalidFile, atomic_write
-from knotgym.datasets import table
 from knotgym.generate import SUITE, EvaluateConfig
 from knotgym.runs import identity
 
@@ -176,7 +175,12 @@ def page(rows: Sequence[Row]) -> str:
             body += [(f"*{name}, published*", "", *own) for name, own in SUITE["published"].items()]
         title = f"## States {states}, {split} split" + ", chain engine" * in_chain
         title += ", macro-actions" * in_macros
-        lines += [title, "", *table(head, body), ""]
+        lines += [
+            title,
+            "",
+            *(f"| {' | '.join(map(str, one))} |" for one in (head, ["---"] * len(head), *body)),
+            "",
+        ]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

@@ -1,13 +1,9 @@
 from .cards import CardTable as CardTable
-from .cards import code_span as code_span
-from .cards import filled_template as filled_template
 from .cards import in_words as in_words
-from .cards import plain as plain
-from .cards import table as table
 from .cards.folder_cards import finish_images as finish_images
 from .cards.folder_cards import finish_states as finish_states
+from .cards.folder_cards import suite_card as suite_card
 from .cards.folder_cards import summary as summary
-from .episode_dataset import FILE as FILE
 from .episode_dataset import EpisodeDataset as EpisodeDataset
 from .episode_dataset import columns_of as columns_of
 from .episode_dataset import digests_of as digests_of
@@ -33,8 +29,7 @@ from .exports import export_help as export_help
 from .gallery import write_sheet as write_sheet
 from .image_rows import PictureRow as PictureRow
 from .image_rows import drawn as drawn
-from .image_rows import record as record
-from .image_table import COLUMNS as COLUMNS
+from .image_rows import drawn_table as drawn_table
 from .image_table import arrow as arrow
 from .image_table import decode as decode
 from .image_table import encode as encode
@@ -43,7 +38,6 @@ from .image_table import read_rows as read_rows
 from .image_table import read_table as read_table
 from .image_table import shard_name as shard_name
 from .image_table import shards as shards
-from .image_table import table_of as table_of
 from .located import locate as locate
 from .located import try_files as try_files
 from .manifest import machine as machine
@@ -51,7 +45,6 @@ from .merging import merge as merge
 from .minari_form import MinariMetadata as MinariMetadata
 from .minari_form import loading_lines as loading_lines
 from .minari_form import publish as publish
-from .minari_form import write_minari as write_minari
 from .page import write_page as write_page
 from .state_verification import faults as faults
 from .subsets import delete as delete

@@ -238,19 +238,6 @@ def _opened(source: Any, rows: NDArray[np.int64] | None) -> EpisodeDataset:
     return opened if rows is None else opened.select(rows)
 
 
-def single_of(dataset: EpisodeDataset) -> NDArray[np.int64]:
-    """Return which of `task.singles` each episode is of, by the crossings of its start and goal.
-
-    A recording doesn't hold the start's crossings, so there the first with the goal's is returned.
-    """
-    own, steps = dataset.episodes
-    goals = np.count_nonzero(own["goal_visits"], axis=1) // 2
-    first = dataset.episodes.offsets[:-1]
-    starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
-    unlike = [2 * (goals != one.goal_nx) + (starts != one.start_nx) for one in dataset.task.singles]
-    return np.argmin(unlike, axis=0)
-
-
 def columns_of(source: Any) -> EpisodeDataset:
     """Open a dataset as `open_episodes` does, and refuse a recording.
 

@@ -109,8 +109,8 @@ def verify_episodes(
     if faults := [*_file_faults(dataset)]:
         yield from faults
         return
-    yield from split_faults(dataset)
-    yield from duplicate_faults(dataset)
+    yield from _split_faults(dataset)
+    yield from _duplicate_faults(dataset)
     dataset = dataset.drawn(sample)
     try:
         columns = expanded(dataset, replay, count)
@@ -239,7 +239,7 @@ def _spread(values: NDArray[Any]) -> dict[str, float] | None:
     return {"min": least, "mean": float(values.mean()), "median": middle, "max": most}
 
 
-def split_faults(dataset: EpisodeDataset) -> list[str]:
+def _split_faults(dataset: EpisodeDataset) -> list[str]:
     """List the episodes whose start or goal isn't of the task's split.
 
     They are compared with the states that the task resets from. A single episode file whose states
@@ -297,7 +297,7 @@ def shared_faults(
             yield f"{both(other, row)} come from one rope"
 
 
-def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
+def _duplicate_faults(dataset: EpisodeDataset) -> list[str]:
     """List the episodes with the same start, goal and pulls, bit for bit, as an earlier one.
 
     Without reset noise two seeds may give the same episode; then only a repeated seed is a fault.

@@ -32,7 +32,7 @@ class Tile(NamedTuple):
     colour: tuple[int, int, int] = _WHITE
 
 
-def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
+def _contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
     """Arrange pictures of one size in rows of at most `columns`: uint8 (height, width, 3), RGB."""
     size = len(tiles[0].picture) if tiles else _TILE
     wide = size + 2 * _EDGE
@@ -59,7 +59,7 @@ def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     """Write the contact sheet of tiles as a PNG."""
     # level 9 takes five times as long, for 2 % less
     _, data = cv2.imencode(
-        ".png", contact_sheet(tiles)[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6]
+        ".png", _contact_sheet(tiles)[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6]
     )
     Path(path).write_bytes(bytes(data))
 
@@ -69,7 +69,7 @@ def write_sheet(path: Path, found: "Located") -> str:
     if found.pictures:
         from knotgym.datasets.image_table import read_table
 
-        tiles, what = picture_tiles(found.pictures), "pictures"
+        tiles, what = _picture_tiles(found.pictures), "pictures"
         count = len(read_table(found.pictures, columns=["nx"]))
     elif found.states:
         tiles, what = state_tiles(read_states(found.states, images=False)), "states"
@@ -130,7 +130,7 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
     return tiles
 
 
-def picture_tiles(table: str | os.PathLike[str]) -> list[Tile]:
+def _picture_tiles(table: str | os.PathLike[str]) -> list[Tile]:
     """Return a sample of SHOWN pictures of a perception table, even over splits and nx."""
     from knotgym.datasets.image_table import decode, read_table  # here, as states need neither
 

@@ -64,8 +64,12 @@ class PictureRow(NamedTuple):
 
 def drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> dict[str, NDArray[np.uint8]]:
     """Render rows; the result has the bytes of their Parquet file."""
-    table = table_of([record(row, config) for row in rows])
-    return {"parquet": np.frombuffer(parquet(table), dtype=np.uint8)}
+    return {"parquet": np.frombuffer(parquet(drawn_table(rows, config)), dtype=np.uint8)}
+
+
+def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
+    """Render rows as a pyarrow.Table."""
+    return table_of([record(row, config) for row in rows])
 
 
 def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
@@ -104,7 +108,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     }
 
 
-def redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
+def _redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
     """Draw the picture of a row, as `read_rows` gives it, again."""
     drawer = Drawer.of(row["appearance"]["name"])
     return drawer.drawn(points, drawer.read(row))
@@ -125,7 +129,7 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
         yield from [*faults, *listed_faults(folder, manifest)]
     files = shards(path)
     count("files of pictures", 0, len(files))
-    for done, faults in enumerate(each(shard_faults, files), 1):
+    for done, faults in enumerate(each(_shard_faults, files), 1):
         count("files of pictures", done, len(files))
         yield from faults
     try:
@@ -140,13 +144,13 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
         yield f"{folder.name} has no rows"
 
 
-def shard_faults(path: Path) -> list[str]:
+def _shard_faults(path: Path) -> list[str]:
     """List the faults of the rows of a shard, and compare the rows with its `content_sha256`."""
     faults, now = [], hashlib.sha256()
     try:
         for n, row in enumerate(read_rows(path)):
             try:
-                own = list(row_faults(row))
+                own = list(_row_faults(row))
             except _RAISED as error:
                 own = [f"it can't be rendered or measured: {one_line(error)}"]
             faults += [f"{path.name} row {n}: {fault}" for fault in own]
@@ -159,7 +163,7 @@ def shard_faults(path: Path) -> list[str]:
     return faults
 
 
-def row_faults(row: Mapping[str, Any]) -> Iterator[str]:
+def _row_faults(row: Mapping[str, Any]) -> Iterator[str]:
     """Yield the faults of one row, as `read_rows` gives it."""
     if (name := row["appearance"]["name"]) not in APPEARANCES:
         yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
@@ -179,7 +183,7 @@ def row_faults(row: Mapping[str, Any]) -> Iterator[str]:
             return
     points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
     whole = {**row, "points": points}
-    yield from state_faults(whole, Rope(), lambda own: derived(own, redrawn(own.points, row)))
+    yield from state_faults(whole, Rope(), lambda own: derived(own, _redrawn(own.points, row)))
     if (colours := row["appearance"]["colours"]) not in _COLOURS:
         yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:

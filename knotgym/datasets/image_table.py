@@ -109,8 +109,9 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     return arrow().Table.from_pylist(full, schema=_schema(columns))
 
 
-def parquet(table: Any) -> bytes:
-    """Return the bytes of a shard with the rows of a pyarrow.Table; the same rows give the same."""
+def parquet(rows: Any) -> bytes:
+    """Return the bytes of a shard of rows, or a pyarrow.Table; the same rows give the same."""
+    table = table_of(rows) if isinstance(rows, Sequence) else rows
     digest = hashlib.sha256()
     for row in _rows(table):
         digest.update(row_line(row))

@@ -22,8 +22,8 @@ from knotgym.common import (
     sha256,
 )
 from knotgym.datasets.episode_dataset import (
+    EpisodeDataset,
     open_episodes,
-    single_of,
     write_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
@@ -116,7 +116,7 @@ class EpisodeRows:
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
         (own, steps), task = self.dataset.episodes, self.dataset.task
-        single, number = task.singles, single_of(self.dataset)
+        single, number = task.singles, _single_of(self.dataset)
         found = {
             "episode": np.arange(self.count),
             **{name: values for name, values in own.items() if values.ndim == 1},
@@ -136,7 +136,7 @@ class EpisodeRows:
         return found
 
     def shared(self) -> Rows:
-        own, number = self.dataset.episodes.episodes, single_of(self.dataset)
+        own, number = self.dataset.episodes.episodes, _single_of(self.dataset)
         tangled = np.array([one.start_nx > 0 for one in self.dataset.task.singles])[number]
         # states without crossings are shared by nearly all episodes
         starts = np.where(tangled, own["start"], -1)
@@ -198,3 +198,16 @@ def _selections(found: Any, path: Path) -> Selections:
     if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
         raise InvalidFile(f"{path}: its selection should be a list of objects, got {found!r:.80}")
     return found
+
+
+def _single_of(dataset: EpisodeDataset) -> NDArray[np.int64]:
+    """Return which of `task.singles` each episode is of, by the crossings of its start and goal.
+
+    A recording doesn't hold the start's crossings, so there the first with the goal's is returned.
+    """
+    own, steps = dataset.episodes
+    goals = np.count_nonzero(own["goal_visits"], axis=1) // 2
+    first = dataset.episodes.offsets[:-1]
+    starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
+    unlike = [2 * (goals != one.goal_nx) + (starts != one.start_nx) for one in dataset.task.singles]
+    return np.argmin(unlike, axis=0)

@@ -119,14 +119,14 @@ def faults(
 
         yield from image_faults(found.pictures, each, count)
     elif found.states and found.root.is_dir():
-        yield from folder_faults(found.root, replay, count)
+        yield from _folder_faults(found.root, replay, count)
     elif found.states:
         yield from state_faults(read_states(found.states), count)
     for one in () if found.pictures or found.states else found.episodes:
         yield from verify_episodes(one, replay, count=count, sample=sample)
 
 
-def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Iterator[str]:
+def _folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.

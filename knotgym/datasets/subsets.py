@@ -59,7 +59,7 @@ def select(
         Occupied: the output exists.
     """
     given = opened(source)
-    chosen = matching_rows(where, given.columns) if where else np.ones(given.count, dtype=bool)
+    chosen = _matching_rows(where, given.columns) if where else np.ones(given.count, dtype=bool)
     rows = np.flatnonzero(chosen)
     if sample is not None:
         if not 0 < sample <= len(rows):
@@ -176,7 +176,7 @@ def _dealt(groups: Rows, shares: Sequence[float], rng: np.random.Generator) -> R
     return part[groups]
 
 
-def matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+def _matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Return which rows fulfil a condition: bool (n,).
 
     Args:

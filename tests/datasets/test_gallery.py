@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from knotgym.datasets.gallery import Tile, contact_sheet, sample
+from knotgym.datasets.gallery import Tile, _contact_sheet, sample
 from knotgym.rendering import OUTCOMES
 
 
 def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
     images = np.random.default_rng(0).integers(0, 255, (5, 16, 16, 3), dtype=np.uint8)
-    sheet = contact_sheet([Tile(image, ("a", "b")) for image in images], columns=2)
+    sheet = _contact_sheet([Tile(image, ("a", "b")) for image in images], columns=2)
     assert sheet.shape == (3 * 58, 2 * 28, 3)
     for k, image in enumerate(images):
         top, left = k // 2 * 58 + 6, k % 2 * 28 + 6
@@ -17,7 +17,7 @@ def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
 
 def test_a_coloured_tile_is_framed() -> None:
     image = np.zeros((16, 16, 3), dtype=np.uint8)
-    sheet = contact_sheet([Tile(image, ("a",), OUTCOMES["failed"])])
+    sheet = _contact_sheet([Tile(image, ("a",), OUTCOMES["failed"])])
     assert (sheet[5, 6:22] == OUTCOMES["failed"]).all()
     assert np.array_equal(sheet[6:22, 6:22], image)
 
@@ -25,7 +25,7 @@ def test_a_coloured_tile_is_framed() -> None:
 def test_a_caption_too_long_for_its_picture_is_written_smaller() -> None:
     image = np.zeros((128, 128, 3), dtype=np.uint8)
     code = ",".join(f"{number}+a" for number in (*range(1, 7), *range(1, 7)))
-    short, long = (contact_sheet([Tile(image, (text, "b"))]) for text in ("1+a", code))
+    short, long = (_contact_sheet([Tile(image, (text, "b"))]) for text in ("1+a", code))
     assert long.shape == short.shape and not np.array_equal(long, short)
     assert (long[short.shape[0] - 12 :] != long[-1, 0]).any()
 

@@ -12,7 +12,7 @@ from synthetic_episodes import TINY
 
 from knotgym.common import Table
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
-from knotgym.datasets.episode_verification import duplicate_faults, split_faults
+from knotgym.datasets.episode_verification import _duplicate_faults, _split_faults
 from knotgym.datasets.state_verification import _demonstration_faults
 from knotgym.states import States, read_states, shipped
 
@@ -35,7 +35,7 @@ def changed(dataset: EpisodeDataset, **columns: NDArray[np.generic]) -> EpisodeD
 
 def faults(dataset: EpisodeDataset) -> list[str]:
     """List the faults of the splits, without the path."""
-    return [fault.removeprefix(str(dataset.path)) for fault in split_faults(dataset)]
+    return [fault.removeprefix(str(dataset.path)) for fault in _split_faults(dataset)]
 
 
 def with_goal(dataset: EpisodeDataset, states: States, row: int) -> EpisodeDataset:
@@ -49,7 +49,7 @@ def with_goal(dataset: EpisodeDataset, states: States, row: int) -> EpisodeDatas
 @pytest.mark.parametrize("name", [*TINY])
 def test_what_was_collected_keeps_to_its_split(name: str) -> None:
     dataset = open_episodes(TINY[name])
-    assert split_faults(dataset) == duplicate_faults(dataset) == []
+    assert _split_faults(dataset) == _duplicate_faults(dataset) == []
 
 
 def test_a_leaked_goal_is_named(tiny: EpisodeDataset, states: States) -> None:
@@ -98,20 +98,20 @@ def test_a_goal_that_is_not_its_row_is_named(tiny: EpisodeDataset) -> None:
 def test_the_same_pulls_twice_are_named_whatever_the_seed(tiny: EpisodeDataset) -> None:
     twice = tiny.select([0, 1, 1])
     seeds = changed(twice, seed=np.arange(3))
-    (fault,) = duplicate_faults(seeds)
+    (fault,) = _duplicate_faults(seeds)
     assert fault.endswith("episode 2: the same as episode 1, start, goal and pulls")
     silent = replace(seeds, task=replace(seeds.task, reset_noise=0.0))
-    assert duplicate_faults(silent) == []
+    assert _duplicate_faults(silent) == []
 
 
 def test_a_dataset_whose_states_are_gone_cannot_be_checked(
     tiny: EpisodeDataset, tmp_path: Path
 ) -> None:
     named = replace(tiny, task=replace(tiny.task, states="gone.h5"), path=tmp_path / "e.h5")
-    (fault,) = split_faults(named)
+    (fault,) = _split_faults(named)
     assert "its split can't be checked" in fault
     single = {"states_sha256": "0" * 64}  # an episode file by itself
-    assert split_faults(replace(named, attributes=single)) == []
+    assert _split_faults(replace(named, attributes=single)) == []
 
 
 # What states say of their demonstrations.

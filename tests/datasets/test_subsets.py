@@ -16,7 +16,7 @@ from knotgym.datasets.exports import export
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.selectable import write_rows
-from knotgym.datasets.subsets import kept, matching_rows
+from knotgym.datasets.subsets import _matching_rows, kept
 from knotgym.states import read_states, shipped, write_states
 
 COLUMNS = {
@@ -43,7 +43,7 @@ COLUMNS = {
     ],
 )
 def test_a_condition_keeps_the_rows_that_fulfil_it(text: str, rows: list[int]) -> None:
-    assert np.flatnonzero(matching_rows(text, COLUMNS)).tolist() == rows
+    assert np.flatnonzero(_matching_rows(text, COLUMNS)).tolist() == rows
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_a_condition_keeps_the_rows_that_fulfil_it(text: str, rows: list[int]) -
 )
 def test_any_other_text_is_refused_in_one_line(text: str, says: str) -> None:
     with pytest.raises(InvalidInput) as caught:
-        matching_rows(text, COLUMNS)
+        _matching_rows(text, COLUMNS)
     assert says in str(caught.value) and str(caught.value).isprintable()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from knotgym.control import verify
-from knotgym.datasets import COLUMNS, PictureRow, drawn, read_rows
+from knotgym.datasets import PictureRow, drawn, read_rows
 from knotgym.generate import ImagesConfig, make_images
 from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
@@ -39,6 +39,7 @@ MODULES = [
     FOLDER / "perception" / "strand_loss.py",
 ]  # what the scripts share
 
+SOURCE = "policy start rope pulls reflect switch reverse base_shift seed row".split()
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
 )
@@ -126,7 +127,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)]
-    whole: dict[str, object] = dict.fromkeys(COLUMNS["source"], 0)
+    whole: dict[str, object] = dict.fromkeys(SOURCE, 0)
     whole |= {"policy": "", **dict.fromkeys(("reflect", "switch", "reverse"), False)}
     sources = [whole | {"rope": number, "row": number} for number in range(len(ropes))]
     rows = [
@@ -148,7 +149,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
 ) -> None:
     states = read_states(shipped(), images=False)
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
-    source = dict.fromkeys(COLUMNS["source"], 0) | {"policy": ""}
+    source = dict.fromkeys(SOURCE, 0) | {"policy": ""}
     source |= dict.fromkeys(("reflect", "switch", "reverse"), False)
     look = AppearanceConfig(name="line", vary=("turn",))
     rows = [

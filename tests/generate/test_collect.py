@@ -11,7 +11,6 @@ import pytest
 from knotgym.common import InvalidInput, Stream, sha256
 from knotgym.control import PolicyConfig, PullPlannerConfig, verify
 from knotgym.datasets import (
-    FILE,
     columns_of,
     digests_of,
     merge,
@@ -101,7 +100,7 @@ def test_a_set_of_steps_is_verified_by_the_episodes_that_they_took(tmp_path: Pat
     assert len(seeds) > asked.episodes
     seeds[-1] = Stream.EPISODE.derived_seed(0, len(seeds))
     spoilt = found.episodes._replace(episodes=found.episodes.episodes.replaced(seed=seeds))
-    write_episodes(made / "data" / FILE, [spoilt], found.task, found.facts)
+    write_episodes(open_episodes(made).path, [spoilt], found.task, found.facts)
     faults = verify(made)
     assert any("its seed is none of the run's" in fault for fault in faults), faults
 

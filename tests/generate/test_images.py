@@ -17,18 +17,16 @@ import pytest
 from knotgym.common import Failed, InvalidFile
 from knotgym.control import dataset_faults
 from knotgym.datasets import (
-    COLUMNS,
     PictureRow,
     arrow,
     decode,
+    drawn,
     parquet,
     read_rows,
     read_table,
-    record,
     select,
     shards,
     split,
-    table_of,
 )
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
@@ -104,9 +102,7 @@ def test_a_leak_between_splits_is_found(
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     test, train = shards(copy, "test")[0], next(row for row in rows if row["split"] == "train")
-    test.write_bytes(
-        parquet(table_of([{**row, "split": "test"} for row in [*read_rows(test), train]]))
-    )
+    test.write_bytes(parquet([{**row, "split": "test"} for row in [*read_rows(test), train]]))
     found = "\n".join(dataset_faults(copy))
     assert (
         "SHA-256 differs" in found
@@ -130,9 +126,9 @@ def test_a_near_duplicate_in_another_split_is_found(
     points = symmetry.vertices(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = PictureRow(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
-    (tmp_path / "data.parquet").write_bytes(
-        parquet(table_of([train, record(planted, AppearanceConfig())]))
-    )
+    file = tmp_path / "data.parquet"
+    file.write_bytes(drawn([planted], AppearanceConfig())["parquet"].tobytes())
+    file.write_bytes(parquet([train, *read_rows(file)]))
     [fault] = dataset_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
 
@@ -344,7 +340,7 @@ def test_hugging_face_reads_every_column_of_every_split(
     assert set(found) == {name.replace("-", "_") for name, own in wanted.items() if own}
     for name in found:
         own = wanted[name.replace("_", "-")]
-        assert set(found[name].features) == set(COLUMNS)
+        assert set(found[name].features) == {*own[0]}
         assert isinstance(found[name].features["image"], hugging_face.Image)
         for seen, row in zip(found[name], own, strict=True):
             assert np.array_equal(np.asarray(seen.pop("image")), decode(row["image"]))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
-from knotgym.datasets import FILE, Episodes, open_episodes, write_episodes
+from knotgym.datasets import Episodes, open_episodes, write_episodes
 from knotgym.generate.episodes import suite as module
 from knotgym.generate.episodes.collect import run_facts
 from knotgym.generate.episodes.suite import SETUPS, _describe_set, make_suite
@@ -87,7 +87,7 @@ def test_a_set_whose_actions_were_zeroed_is_not_the_same(made: Path, tmp_path: P
     source = open_episodes(made / ID.format("expert"))
     steps = source.episodes.steps
     forged = Episodes(source.episodes.episodes, steps.replaced(force=np.zeros_like(steps["force"])))
-    write_episodes(data / FILE, [forged], source.task, source.facts)
+    write_episodes(data / "episodes.h5", [forged], source.task, source.facts)
     assert _describe_set(tmp_path / "expert-v0")["recorded"] == "differs from episode 0"
 
 
@@ -96,7 +96,7 @@ def test_a_set_whose_other_columns_were_changed_is_not_the_same(
     column: str, made: Path, tmp_path: Path
 ) -> None:
     data = shutil.copytree(made / ID.format("expert"), tmp_path / "expert-v0") / "data"
-    with h5py.File(data / FILE, "a") as file:
+    with h5py.File(data / "episodes.h5", "a") as file:
         stored = file[f"steps/{column}"]
         stored[1] = ~stored[1] if stored.dtype == bool else -stored[1] - 1
     assert _describe_set(tmp_path / "expert-v0")["recorded"].startswith("differs from")
@@ -105,7 +105,7 @@ def test_a_set_whose_other_columns_were_changed_is_not_the_same(
 def test_finished_sets_are_kept_and_the_missing_ones_made(made: Path, tmp_path: Path) -> None:
     with pytest.raises(Occupied, match="exists already"):
         make_suite(PART, made, QUIET)
-    before = {path: path.stat().st_mtime_ns for path in made.rglob(FILE)}
+    before = {path: path.stat().st_mtime_ns for path in made.rglob("episodes.h5")}
     make_suite(replace(PART, policies=("random",)), made, RESUME)
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert len(card(made)["sets"]) == 2  # of which one was asked for

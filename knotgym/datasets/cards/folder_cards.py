@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from knotgym.datasets.cards import (
     filled_template,
     measured,
     plain,
+    table,
     write_text,
 )
 from knotgym.datasets.cards.croissant import write_croissant
@@ -246,4 +247,35 @@ def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, An
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),
         config=json.dumps(config, indent=1, sort_keys=True),
+    )
+
+
+def suite_card(report: Mapping[str, Any], references: Sequence[Sequence[object]]) -> str:
+    """Return the card of the benchmark as Markdown.
+
+    Args:
+        report: the content of suite.json.
+        references: states and engine, set-up, random, expert and episodes of each score.
+    """
+    sets = report["sets"]
+    columns = "id states split engine policy seed episodes steps starts goals pairs".split()
+    head = (*columns, "reached, %", "MB", "as recorded", "SHA-256 of starts and pulls")
+    rows = []
+    for name, one in sorted(sets.items()):
+        size, digest = f"{one['bytes'] / 1e6:.1f}", f"`{one['sha256'][:16]}...`"
+        own = (plain(one[key]) for key in columns[1:])
+        share = f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f}"
+        reached = "" if one["endless"] else share
+        rows.append((code_span(name), *own, reached, size, plain(one["recorded"]), digest))
+    return filled_template(
+        "suite_card.md",
+        count=len(sets),
+        episodes=sum(one["episodes"] for one in sets.values()),
+        steps=sum(one["steps"] for one in sets.values()),
+        version=report["knotgym"],
+        seed=report["seed"],
+        sets=table(head, rows),
+        references=table(
+            ("states and engine", "set-up", "random", "expert", "episodes"), references
+        ),
     )

@@ -81,7 +81,7 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     rows, pages = dict[str, dict[str, int]](), dict[str, str]()  # by config, and split
     for config, split, tables in _tables(source):
         path = folder / f"data/{config}/{split}-00000-of-00001.parquet"
-        count, page = write_parquet(path, tables)
+        count, page = _write_parquet(path, tables)
         if count:
             rows.setdefault(config, {})[split], pages[config] = count, page
     if not rows:
@@ -135,10 +135,10 @@ def _tables(source: Located) -> Iterator[tuple[str, str, Iterable[Table]]]:
             " themselves"
         )
     pictures = all(one.task.observation in ("pixels", "both") for one in datasets)
-    columns = rows_of_steps(datasets, pictures)
+    columns = _rows_of_steps(datasets, pictures)
     for split in dict.fromkeys(one.task.split for one in datasets):
         own = [one for one in datasets if one.task.split == split]
-        tables = (part for one in own for part in step_tables(one, columns))
+        tables = (part for one in own for part in _step_tables(one, columns))
         yield "steps", split.replace("-", "_"), tables  # Hugging Face's splits have no dashes
 
 
@@ -172,19 +172,19 @@ def _card(
     )
 
 
-def rows_of_steps(datasets: Iterable[EpisodeDataset], pictures: bool) -> Schema:
+def _rows_of_steps(datasets: Iterable[EpisodeDataset], pictures: bool) -> Schema:
     """Return the columns of a file of these datasets: optional ones if any of them has them."""
     stored = {name for one in datasets for name in one.episodes.steps}
     lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
     return ROWS_OF_STEPS.without(*lacking, *([] if pictures else ["image"]))
 
 
-def step_tables(dataset: EpisodeDataset, schema: Schema) -> Iterator[Table]:
+def _step_tables(dataset: EpisodeDataset, schema: Schema) -> Iterator[Table]:
     """Yield a dataset's states, one row each, in tables of some episodes.
 
     Args:
         dataset: columns.
-        schema: `rows_of_steps`; optional columns that the dataset lacks hold `Column.unknown`.
+        schema: `_rows_of_steps`; optional columns that the dataset lacks hold `Column.unknown`.
     """
     pictures = any(column.name == "image" for column in schema.columns)
     for first in range(0, dataset.episodes.episodes.rows, _AT_ONCE):
@@ -215,7 +215,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
     return Table(ROWS_OF_STEPS, columns)
 
 
-def write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
+def _write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
     """Append tables of equal columns to one file; return its rows and a page of its columns."""
     parquet, writer, rows, page = arrow("pyarrow.parquet"), None, 0, ""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,6 @@ from knotgym.common import (
 )
 from knotgym.control import PolicyConfig, compile_planning, make_policy, rollouts
 from knotgym.datasets import (
-    FILE,
     PULLS,
     STEPS,
     Episodes,
@@ -169,7 +168,7 @@ def collect(
             plan=compile_planning if config.policy.plans else None,
         ),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
-        identity_in=lambda folder: run_facts(folder / "data" / FILE),
+        identity_in=lambda folder: run_facts(folder),
     )
 
 

@@ -28,12 +28,9 @@ from knotgym.common import (
     require_output,
 )
 from knotgym.datasets import (
-    code_span,
     digests_of,
-    filled_template,
     open_episodes,
-    plain,
-    table,
+    suite_card,
 )
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
 from knotgym.generate.episodes.episode_configs import CollectConfig
@@ -191,38 +188,13 @@ def _write_card(sets: Mapping[str, Any], seed: int, folder: Path) -> None:
         "sets": sets,
     }
     folder.mkdir(parents=True, exist_ok=True)
-    texts = json.dumps(report, indent=1, sort_keys=True) + "\n", _card_of(report)
-    for name, text in zip(_CARD, texts, strict=True):
-        with atomic_write(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-
-
-def _card_of(report: Mapping[str, Any]) -> str:
-    """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
-    sets = report["sets"]
-    columns = "id states split engine policy seed episodes steps starts goals pairs".split()
-    head = (*columns, "reached, %", "MB", "as recorded", "SHA-256 of starts and pulls")
-    rows = []
-    for name, one in sorted(sets.items()):
-        size, digest = f"{one['bytes'] / 1e6:.1f}", f"`{one['sha256'][:16]}...`"
-        own = (plain(one[key]) for key in columns[1:])
-        share = f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f}"
-        reached = "" if one["endless"] else share
-        rows.append((code_span(name), *own, reached, size, plain(one["recorded"]), digest))
     references = [
         (measured, setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
         for measured, protocol in reference_scores().items()
         for setup, one in protocol["cells"].items()
     ]
-    return filled_template(
-        "suite_card.md",
-        count=len(sets),
-        episodes=sum(one["episodes"] for one in sets.values()),
-        steps=sum(one["steps"] for one in sets.values()),
-        version=report["knotgym"],
-        seed=report["seed"],
-        sets=table(head, rows),
-        references=table(
-            ("states and engine", "set-up", "random", "expert", "episodes"), references
-        ),
-    )
+    card = suite_card(report, references)
+    texts = json.dumps(report, indent=1, sort_keys=True) + "\n", card
+    for name, text in zip(_CARD, texts, strict=True):
+        with atomic_write(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")

@@ -19,10 +19,9 @@ from knotgym.datasets import (
     PictureRow,
     arrow,
     drawn,
+    drawn_table,
     finish_images,
-    record,
     shard_name,
-    table_of,
 )
 from knotgym.generate.images.frames import Chooser, PicturedRope, Quota, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
@@ -89,7 +88,7 @@ def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> A
     waves = _Waves(replace(config, seed=own), plan._replace(quota=quota))
     compute(_filled(waves))
     files = _files(waves)
-    return table_of([record(row, config.appearance) for rows in files.values() for row in rows])
+    return drawn_table([row for rows in files.values() for row in rows], config.appearance)
 
 
 @lru_cache(maxsize=2)
