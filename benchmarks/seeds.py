@@ -33,13 +33,7 @@ CELLS = {
 }
 # Expected before the first training. In tie-nx2-10k, the first of two has the higher mean, and a
 # seed of it beats a seed of the second in nine pairs of ten:
-ORDERED = (
-    ("DiscreteBC", "IQL"),
-    ("IQL", "BC"),
-    ("GCIVL", "GCBC"),
-    ("BC", "TD3BC"),
-    ("BC", "Flow"),
-)
+ORDERED = (("DiscreteBC", "IQL"), ("IQL", "BC"), ("GCIVL", "GCBC"), ("BC", "TD3BC"), ("BC", "Flow"))
 # The first of two has the higher mean in the first cell, and the lower one in the second:
 CHANGES = (
     ("GCBC", "BC", "tie-nx2-10k", "tie-nx2-100k"),  # with few data, goals reached add variety

@@ -324,12 +324,7 @@ def main() -> None:
     net = train(given.folder, given.steps, given.batch, given.seed)
     torch.save(net.state_dict(), given.out / "reader.pt")
     scores, missed = evaluate(net, given.folder)
-    report = {
-        "steps": given.steps,
-        "batch": given.batch,
-        "seed": given.seed,
-        "scores": scores,
-    }
+    report = {"steps": given.steps, "batch": given.batch, "seed": given.seed, "scores": scores}
     (given.out / "report.json").write_text(json.dumps(report, indent=1))
     if missed:
         page(missed, given.out / "confusions.png")

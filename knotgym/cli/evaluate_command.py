@@ -12,9 +12,7 @@ from knotgym.generate import EvaluateConfig
 
 Policies = Annotated[
     list[str] | None,
-    Parameter(
-        help=f"{field_help(PolicyConfig, 'policy')} May be repeated; random by default.",
-    ),
+    Parameter(help=f"{field_help(PolicyConfig, 'policy')} May be repeated; random by default."),
 ]
 
 

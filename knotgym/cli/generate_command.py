@@ -17,10 +17,7 @@ HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
 MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
 
 
-@command(
-    {"": GenerateConfig},
-    f"count source every_code demonstrations knot engine {RUN}",
-)
+@command({"": GenerateConfig}, f"count source every_code demonstrations knot engine {RUN}")
 def generate(
     given: Given, *, nx: Numbers = None, out: Path | None = None, codes: Path | None = None
 ) -> None:

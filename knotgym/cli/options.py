@@ -24,15 +24,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 
 from cyclopts import App, Group, Parameter
 
-from knotgym.common import (
-    InvalidInput,
-    Occupied,
-    choices,
-    from_json,
-    marked,
-    merged,
-    read_json,
-)
+from knotgym.common import InvalidInput, Occupied, choices, from_json, marked, merged, read_json
 from knotgym.runs import Progress, RunOptions
 
 Config = TypeVar("Config")
@@ -43,7 +35,9 @@ APP: dict[str, Any] = {
     "help_format": "plaintext",
     "version_flags": [],
     "suppress_keyboard_interrupt": False,
-    "default_parameter": Parameter(negative=(), group=_GROUP),
+    "default_parameter": Parameter(
+        negative=(), group=_GROUP, show_default=lambda value: as_typed(value) or None
+    ),
 }
 EXISTING = "run.resume run.restart run.overwrite"
 RUN = f"seed run.workers {EXISTING}"  # options of every command that makes data
@@ -51,16 +45,12 @@ Listed = Annotated[str | None, Parameter(metavar="A,B")]
 Numbers = Annotated[str | None, Parameter(metavar="N,N")]
 DrawSeed = Annotated[int, Parameter(group=_RUN_GROUP, help="Seed of the random choice.")]
 _QUIET = Annotated[bool, Parameter(show=False, help="Print errors only.")]
+_SET_HELP = "One setting, such as task.horizon=30; may be repeated."
+_SET = Annotated[
+    list[str] | None, Parameter(group=_RUN_GROUP, metavar="NAME=VALUE", help=_SET_HELP)
+]
 _SETTINGS = Annotated[
     Path | None, Parameter(group=_RUN_GROUP, help="TOML or JSON file of settings.")
-]
-_SET = Annotated[
-    list[str] | None,
-    Parameter(
-        group=_RUN_GROUP,
-        metavar="NAME=VALUE",
-        help="One setting, such as task.horizon=30; may be repeated.",
-    ),
 ]
 _METAVARS = {int: "INT", float: "FLOAT", tuple[int, ...]: "N,N", tuple[str, ...]: "A,B"}
 _READERS: dict[Any, Callable[[str], Any]] = {
@@ -99,7 +89,7 @@ class _Field(NamedTuple):
         usual = f"--{self.name.replace('_', '-')}"
         usual += f"/--no-{usual[2:]}" if self.default is True else ""
         name, _, negative = (typed or usual).partition("/")
-        shown, help = as_typed(self.default), field_help(self.owner, self.name)
+        help = field_help(self.owner, self.name)
         known = choices(get_type_hints(self.owner, include_extras=True)[self.name])
         if any(not re.search(rf"\b{re.escape(word)}\b", help) for word in known):
             help += f" One of {', '.join(known)}."
@@ -109,7 +99,7 @@ class _Field(NamedTuple):
             help=help,
             negative=negative,
             group=_RUN_GROUP if self.path.startswith("run.") or self.path == "seed" else _GROUP,
-            show_default=(lambda _: shown) if shown else False,
+            show_default=as_typed(self.default) or False,
         )
         kind = bool if self.kind is bool else str
         return inspect.Parameter(
@@ -133,10 +123,11 @@ def command(
     """
     sections = {**sections, "run": RunOptions}
     known = {one.path: one for one in _all_fields(sections)}
-    options = [known[path].parameter(typed) for path, _, typed in map(_renamed, fields.split())]
+    words = (word.partition("=") for word in fields.split())
+    options = [known[path].parameter(typed) for path, _, typed in words]
 
     def _declare(function: Callable[..., None]) -> App:
-        own = {one.name: one for one in [*inspect.signature(function).parameters.values()][1:]}
+        own = [*inspect.signature(function).parameters.values()][1:]
 
         def run(
             *words: Any,
@@ -145,13 +136,9 @@ def command(
             set: _SET = None,
             **values: Any,
         ) -> None:
-            mine = {name: value for name, value in values.items() if name in own}
-            typed = {
-                name.replace("__", "."): value
-                for name, value in values.items()
-                if name not in own and value is not None
-            }
-            _require_apart(mine.get("out"), [settings, *words, *values.values()])
+            _require_apart(values.get("out"), [settings, *words, *values.values()])
+            mine = {one.name: values.pop(one.name) for one in own if one.name in values}
+            typed = {name.replace("__", "."): value for name, value in values.items()}
             with Progress(quiet, lines=lines) as progress:
                 tree = _read_settings(settings, sections)
                 for path, value in (*map(_assigned, set or ()), *typed.items()):
@@ -160,7 +147,7 @@ def command(
                 function(Given(tree, known, sections, progress, quiet), *words, **mine)
 
         common = inspect.signature(run).parameters
-        parameters = [*map(_without_default, own.values()), *options, common["quiet"]]
+        parameters = [*own, *options, common["quiet"]]
         parameters += [common["settings"], common["set"]] if "" in sections else []
         # a terminal breaks paragraphs and entries by its own width
         doc = run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))
@@ -175,10 +162,6 @@ def command(
     return _declare
 
 
-def _renamed(word: str) -> tuple[str, str, str]:
-    return word.partition("=")
-
-
 def _assigned(word: str) -> tuple[str, str]:
     path, sign, text = word.partition("=")
     if not sign:
@@ -186,32 +169,23 @@ def _assigned(word: str) -> tuple[str, str]:
     return path, text
 
 
-def _without_default(parameter: inspect.Parameter) -> inspect.Parameter:
-    """Return a parameter whose help doesn't show a default that isn't worth it."""
-    kind = parameter.annotation
-    if as_typed(parameter.default) in ("", str(parameter.empty)):
-        kind = Annotated[kind, Parameter(show_default=False)]
-    return parameter.replace(annotation=kind)
-
-
+@dataclasses.dataclass(frozen=True)
 class Given:
     """What was typed or set for the fields of a command, and where it shows what it does.
 
     Attributes:
+        settings: what was typed or set, as nested JSON.
+        known: path -> field, of all that can be set.
+        sections: as of `command`.
         progress: the progress display.
         quiet: whether only errors are printed.
     """
 
-    def __init__(
-        self,
-        settings: dict[str, Any],
-        known: Mapping[str, _Field],
-        sections: Sections,
-        progress: Progress,
-        quiet: bool,
-    ) -> None:
-        self.progress, self.quiet = progress, quiet
-        self._settings, self._known, self._sections = settings, known, sections
+    settings: dict[str, Any]
+    known: Mapping[str, _Field]
+    sections: Sections
+    progress: Progress
+    quiet: bool
 
     def has(self, path: str) -> bool:
         """Return whether a field was typed or set."""
@@ -220,7 +194,7 @@ class Given:
     def get(self, path: str) -> Any:
         """Return a field as JSON: what was typed or set, else its default; not yet validated."""
         found = self._at(path)
-        return self._known[path].default if found is None else found
+        return self.known[path].default if found is None else found
 
     def config(
         self,
@@ -242,9 +216,9 @@ class Given:
             InvalidInput: a value is invalid.
         """
         if section:
-            own = self._settings.get(section, {})
+            own = self.settings.get(section, {})
         else:
-            own = {name: one for name, one in self._settings.items() if name not in self._sections}
+            own = {name: one for name, one in self.settings.items() if name not in self.sections}
         return from_json(kind, merged(merged(_nested(usual or {}), own), _nested(more or {})))
 
     @property
@@ -253,7 +227,7 @@ class Given:
         return self.config(RunOptions, {"quiet": self.quiet}, section="run")
 
     def _at(self, path: str) -> Any:
-        found: Any = self._settings
+        found: Any = self.settings
         for name in path.split("."):
             found = found.get(name) if isinstance(found, dict) else None
         return found

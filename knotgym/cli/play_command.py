@@ -33,7 +33,7 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
     from knotgym.play import serve
     from knotgym.runs import compile_first
 
-    compile_first(progress, config.task.engine)
+    compile_first(progress, engine=config.task.engine)
     task, dataset = config.task, ""
     if record:
         mark = "" if task.split == "train" else f"-{task.split}"

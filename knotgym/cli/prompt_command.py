@@ -14,8 +14,7 @@ from knotgym.runs import Progress
 
 
 @command(
-    {"": PromptConfig},
-    f"mode chat.model chat.base_url task.task task.nx episodes seed {EXISTING}",
+    {"": PromptConfig}, f"mode chat.model chat.base_url task.task task.nx episodes seed {EXISTING}"
 )
 def prompt(
     given: Given,

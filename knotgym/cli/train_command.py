@@ -8,10 +8,7 @@ from knotgym.common import InvalidInput, MissingExtra
 from knotgym.learn import CloneConfig, ReaderConfig
 
 
-@command(
-    {"": ReaderConfig, "clone": CloneConfig},
-    f"steps seed run.workers {EXISTING}",
-)
+@command({"": ReaderConfig, "clone": CloneConfig}, f"steps seed run.workers {EXISTING}")
 def train(
     given: Given, *, out: Path, data: list[str] | None = None, learner: str = "pictures"
 ) -> None:

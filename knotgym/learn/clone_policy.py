@@ -26,14 +26,7 @@ from knotgym.common import InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, PassValues, Player, Sight
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.agent import require_readable
-from knotgym.learn.checkpoint import (
-    CARD,
-    CLONE,
-    PRETRAINED,
-    load_network,
-    load_reader,
-    read_card,
-)
+from knotgym.learn.checkpoint import CARD, CLONE, PRETRAINED, load_network, load_reader, read_card
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader import inference
@@ -212,11 +205,7 @@ def _filled(states: Tensor) -> Tensor:
 
 
 def _with_passes(
-    likely: Tensor,
-    values: PassValues,
-    points: Array,
-    goals: Sequence[GaussCode],
-    marked: Marked,
+    likely: Tensor, values: PassValues, points: Array, goals: Sequence[GaussCode], marked: Marked
 ) -> tuple[Tensor, Tensor]:
     """Add the first passes of the order to macro-actions (_BLOCK, k, 3).
 

@@ -5,7 +5,7 @@ them; a training that is interrupted continues from its one checkpoint.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,14 +64,12 @@ def train(
         Occupied: `out` exists, holds an interrupted training, or is used by another process.
         InvalidFile, MissingFile: a dataset, or the training to resume, is missing or invalid.
     """
-    if progress is None:
-        with Progress(options.quiet) as progress:
-            return train(datasets, out, config, options, progress)
+    progress = progress or Progress(options.quiet)
     if getattr(config, "device", "cpu") == "cuda" and not torch.cuda.is_available():
         raise InvalidInput("device cuda needs a GPU that torch can use; there is none, so use cpu")
     if not options.shard.is_whole:
         raise InvalidInput("a training can't be divided: leave out run.shard")
-    shown, opened = progress, [columns_of(one) for one in datasets]
+    opened = [columns_of(one) for one in datasets]
     for one in opened:
         require_trainable(one.task, str(one.attributes.get("rope")), one.episodes, one.name)
     if not opened and not getattr(config, "demonstrations", 0):
@@ -97,23 +95,13 @@ def train(
 
     def _recipe(place: Path) -> Recipe[str]:
         if isinstance(config, CloneConfig):
-            return (yield from _train_clone(opened, config, place, card, shown))
-        yield from _train_reader(opened, config, place, card, shown)
-        return f"{config.steps} steps"
+            return (yield from _train_clone(opened, config, place, card, progress))
+        return (yield from _train_reader(opened, config, place, card, progress))
 
-    def _prepare(progress: Progress, pool: Executor) -> None:
-        if getattr(config, "demonstrations", 0):
-            compile_first(progress, CHAIN, pool=pool)
-
-    return run(
-        _recipe,
-        out,
-        whole,
-        options,
-        progress,
-        prepare=_prepare,
-        identity_in=CARD,
-    )
+    prepare = None
+    if getattr(config, "demonstrations", 0):
+        prepare = partial(compile_first, engine=CHAIN)
+    return run(_recipe, out, whole, options, progress, prepare=prepare, identity_in=CARD)
 
 
 def _trained_on(
@@ -135,7 +123,7 @@ def _train_reader(
     place: Path,
     card: dict[str, Any],
     progress: Progress,
-) -> Recipe[None]:
+) -> Recipe[str]:
     # a recipe yields calls at least once; this one has none to make
     yield []
     data = states_and_pulls([one.episodes for one in opened])
@@ -149,6 +137,7 @@ def _train_reader(
     network = training.network.eval()
     save_network(place, network, PICTURES, {**card, **facts}, {"places": places})
     draw_curve(place, ("join", "correct"), training.losses)
+    return f"{config.steps} steps"
 
 
 def _train_clone(

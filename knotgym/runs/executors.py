@@ -254,9 +254,9 @@ _PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
 
 def compile_first(
     progress: Progress,
-    engine: str = MUJOCO,
     pool: Executor | None = None,
     *,
+    engine: str = MUJOCO,
     draws: bool = False,
     plan: Callable[[], None] | None = None,
 ) -> None:

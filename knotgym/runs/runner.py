@@ -295,10 +295,7 @@ def _is_finished(
 
 
 def _complete(
-    calls: Sequence[Call],
-    memo: Journal | dict[str, Result],
-    pool: Executor,
-    show: OnProgress,
+    calls: Sequence[Call], memo: Journal | dict[str, Result], pool: Executor, show: OnProgress
 ) -> None:
     """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
     left, done, total = [], 0, sum(call.items for call in calls)

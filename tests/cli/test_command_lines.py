@@ -30,8 +30,7 @@ def configs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The configurations that `evaluate` was run with, instead of running it."""
     found: list[Any] = []
     monkeypatch.setattr(
-        "knotgym.generate.evaluate",
-        lambda config, options, **_: found.append((config, options)),
+        "knotgym.generate.evaluate", lambda config, options, **_: found.append((config, options))
     )
     return found
 
@@ -254,10 +253,7 @@ REFUSED = [
     ("generate --nx 12", "from 0 to 11, got"),
     ("generate --set beads=40 --no-demonstrations", "beads must be at least 50"),
     ("generate --set beads=200", "demonstrations are for a rope of 100 beads, got 200; leave them"),
-    (
-        "generate --set beads=200 --source random-walk --no-demonstrations",
-        "--beads needs --source",
-    ),
+    ("generate --set beads=200 --source random-walk --no-demonstrations", "--beads needs --source"),
     ("generate --codes hard-unknots --nx 4", "hard-unknots.txt contains no code with nx 4"),
     ("generate --nx 7", "limited to 6 crossings, got nx 7; --no-demonstrations makes states"),
     ("generate --every-code -2", "every_code must be at least 0"),

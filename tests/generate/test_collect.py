@@ -20,12 +20,7 @@ from knotgym.datasets import (
 )
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import collect as collecting
-from knotgym.generate.episodes.collect import (
-    _distinct_id,
-    blocks,
-    collect,
-    run_facts,
-)
+from knotgym.generate.episodes.collect import _distinct_id, blocks, collect, run_facts
 from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions

@@ -113,8 +113,7 @@ def test_a_leak_between_splits_is_found(
 
 
 @pytest.mark.parametrize(
-    "symmetry",
-    [Symmetry(turn=1.0), Symmetry(reflect=True, turn=1.0, reverse=True, base_shift=37)],
+    "symmetry", [Symmetry(turn=1.0), Symmetry(reflect=True, turn=1.0, reverse=True, base_shift=37)]
 )
 def test_a_near_duplicate_in_another_split_is_found(
     rows: list[dict[str, Any]], tmp_path: Path, symmetry: Symmetry

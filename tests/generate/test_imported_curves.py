@@ -338,7 +338,7 @@ def test_without_any_curve_nothing_is_written(tmp_path: Path) -> None:
 
 def test_knots_that_share_polynomials_are_named(tmp_path: Path) -> None:
     code = with_chirality(
-        *parse_codes(["[4, 12, 14, 16, 18, 20, 2, 10, 8, 6]"]),
+        *parse_codes(["[4, 12, 14, 16, 18, 20, 2, 10, 8, 6]"])
     )  # KnotInfo's 10_25, not as in its PD
     points = drawn_curve(code, np.random.default_rng(0), Rope(RopeConfig.of(200)))
     with pytest.raises(InvalidInput, match="can't be certified; it is one of 10_25, 10_56"):

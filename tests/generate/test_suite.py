@@ -125,7 +125,7 @@ def test_a_machine_that_simulates_otherwise_says_so(
     def other(made: Path) -> dict[str, Any]:
         return {**_describe_set(made), "recorded": "differs from episode 1"}
 
-    monkeypatch.setattr(module, "describe_set", other)
+    monkeypatch.setattr(module, "_describe_set", other)
     few = replace(PART, policies=("random",), episodes={"random": 1})
     with pytest.raises(Failed, match="random-v0 differs from episode 1; the sets are kept"):
         make_suite(few, tmp_path, QUIET)

@@ -24,12 +24,7 @@ pytest.importorskip("safetensors")
 torch = pytest.importorskip("torch")
 
 from knotgym.learn.checkpoint import policy_folder  # noqa: E402
-from knotgym.learn.rope_reader import (  # noqa: E402
-    Maps,
-    _read_maps,
-    _turned_back,
-    load_rope_reader,
-)
+from knotgym.learn.rope_reader import Maps, _read_maps, _turned_back, load_rope_reader  # noqa: E402
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields  # noqa: E402
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +27,7 @@ from knotgym.common import (
     sha256,
 )
 from knotgym.control import PolicyConfig, compile_planning, make_policy, rollouts
-from knotgym.datasets import (
-    PULLS,
-    STEPS,
-    Episodes,
-    MinariMetadata,
-    machine,
-    open_episodes,
-    publish,
-)
+from knotgym.datasets import PULLS, STEPS, Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.episode_configs import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, rebuilt
@@ -99,7 +92,7 @@ def _distinct_id(config: CollectConfig) -> str:
     >>> _distinct_id(config)
     'knotgym/tie-nx2/expert-pixels-v0'
     """
-    task, policy, seed = config.task, config.policy, config.seed
+    task, policy = config.task, config.policy
     states = "" if task.states in (None, "readable") else str(task.states)
     if not is_bundled(task.states):
         file = resolve_states(task.states)
@@ -110,17 +103,16 @@ def _distinct_id(config: CollectConfig) -> str:
     if config.labels or policy.plans:
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
-    digest = f"rules{hashlib.sha256('; '.join(rules).encode()).hexdigest()[:8]}" if rules else ""
-    return plain_id(
-        task,
-        policy,
-        states,
-        "" if task.observation == OBSERVATION else task.observation,
-        f"seed{seed}" if seed else "",
-        "" if config.keep_failed else "successes",
-        "labelled" if config.labels else "",
-        digest,
-    )
+    digest = hashlib.sha256("; ".join(rules).encode()).hexdigest()[:8]
+    marks = {
+        states: True,
+        task.observation: task.observation != OBSERVATION,
+        f"seed{config.seed}": config.seed != 0,
+        "successes": not config.keep_failed,
+        "labelled": config.labels != "",
+        f"rules{digest}": bool(rules),
+    }
+    return plain_id(task, policy, *(mark for mark, shown in marks.items() if shown))
 
 
 def collect(
@@ -145,28 +137,23 @@ def collect(
         Occupied, InvalidFile, Failed: as in `runs.runner.run`.
     """
     config = _named(config)
-    make_policy(config.policy).compatible_task(
-        config.policy_task
-    )  # refused before any work is done
-    _metadata(config, Counter())  # refuses a bad id
+    # both are refused before any work is done: a task that doesn't fit, and a bad id
+    make_policy(config.policy).compatible_task(config.policy_task)
+    _metadata(config, Counter())
     if not is_bundled(config.task.states):
         read_states(resolve_states(config.task.states), images=False)
 
     advisers = [replace(config.policy, policy="expert")] if config.labels else []
     files = {RECORDINGS.name: RECORDINGS} if recorded else {}
     made_by = identity(config, files, also=advisers)
+    plan = compile_planning if config.policy.plans else None
     return run(
         lambda place: _episodes_of(config, made_by, place, rebuilt if recorded else play),
         _dataset_folder(config, out),
         made_by,
         options,
         progress,
-        prepare=lambda shown, pool: compile_first(
-            shown,
-            config.task.engine,
-            pool=pool,
-            plan=compile_planning if config.policy.plans else None,
-        ),
+        prepare=partial(compile_first, engine=config.task.engine, plan=plan),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
         identity_in=lambda folder: run_facts(folder),
     )
@@ -268,9 +255,8 @@ def _publish(
     Raises:
         InvalidInput: no episode is left to keep.
     """
-    total = _total(
-        Episodes.merged([part.recording() for part in parts]).episodes, config.keep_failed
-    )
+    every = Episodes.merged([part.recording() for part in parts]).episodes
+    total = _total(every, config.keep_failed)
     if not total["kept"]:
         raise InvalidInput(
             f"none of {total['played']} episodes reached the goal and failed ones are dropped, so"
@@ -282,15 +268,9 @@ def _publish(
     carried = None if is_bundled(config.task.states) else resolve_states(config.task.states)
     digests = {**made_by["source"], "versions": made_by["versions"], "rope": made_by["rope"]}
     metadata = replace(_metadata(config, total), digests=digests)
-    root = place.with_name(f"{place.name}-root")
+    root, facts = place.with_name(f"{place.name}-root"), {"run": facts}
     made = publish(
-        parts,
-        config.task,
-        metadata,
-        root,
-        states=carried,
-        facts={"run": facts},
-        form=config.form,
+        parts, config.task, metadata, root, states=carried, facts=facts, form=config.form
     )
     made.rename(place)
     failed = total["played"] - total["succeeded"]
@@ -336,10 +316,8 @@ def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata
     usual = TaskConfig(task=task.task)  # the scores are of its rules
     rules = ("horizon", "hold", "endless", "tow_limit", "reset_noise", "success_reward", "rope")
     own = all(getattr(task, name) == getattr(usual, name) for name in (*rules, "beads"))
-    protocol = (
-        reference_scores().get(f"{task.states or 'readable'}-{task.engine}", {}) if own else {}
-    )
-    scores = protocol.get("cells", {}).get(task.name, {})
+    protocol = reference_scores().get(f"{task.states or 'readable'}-{task.engine}", {})
+    scores = protocol.get("cells", {}).get(task.name, {}) if own else {}
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     planned = total["planned"] / max(total["played"], 1)
     planning = f" Planning took {planned:.0f} simulated pulls an episode."

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -150,10 +151,12 @@ def evaluate(
         Film(video)
     _require_playable(config)
     made_by, results, films = identity(config), list[Result](), list[Episodes]()
+    prepare = partial(compile_first, engine=config.task.engine)
+    beside = [one for one in (video, record) if one is not None]
 
     def _recipe(place: Path | None) -> Recipe[str]:
         nonlocal results, films
-        for more in (one for one in (video, record) if one is not None):
+        for more in beside:
             require_output(more, folder=False, overwrite=options.overwrite, reads=made_by.reads)
         filmed = 0 if video is None else config.filmed
         results, played, films = yield from _evaluation(config, filmed, record is not None)
@@ -170,7 +173,7 @@ def evaluate(
 
     if out is None:
         with executor(options.workers) as pool:
-            compile_first(progress, config.task.engine, pool=pool)
+            prepare(progress, pool)
             compute(_recipe(None), pool=pool, progress=progress, count=_reached)
     else:
         run_recipe(
@@ -180,7 +183,7 @@ def evaluate(
             options,
             progress,
             is_folder=False,
-            prepare=lambda shown, pool: compile_first(shown, config.task.engine, pool=pool),
+            prepare=prepare,
             count=_reached,
         )
         if not options.shard.is_whole:
@@ -188,7 +191,7 @@ def evaluate(
         if not results:  # it was finished already
             with evaluation_in(out) as (_, results):
                 pass
-        for more in (one for one in (video, record) if one is not None and not one.exists()):
+        for more in (one for one in beside if not one.exists()):
             raise Occupied(
                 f"{out} is finished already, but {more} isn't there; --overwrite without --resume"
                 " makes both again"
@@ -240,37 +243,24 @@ def _commit() -> str:
 def _report(
     config: EvaluateConfig, results: Sequence[Result], made_by: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the content of the result file.
+    """Return the content of the result file; its rate is over all setups.
 
     Args:
         config: what was evaluated.
         results: one for each setup.
         made_by: the run's identity.
     """
-    learners = {
-        one.policy: _training(one.policy)
-        for one in config.policies
-        if training_card(one.policy) is not None
-    }
+    names = [one.policy for one in config.policies]
+    success = [reached for one in results for reached in one.outcomes["success"]]
+    starts = [f"{one.start_states} {row}" for one in results for row in one.outcomes["start"]]
+    goals = [f"{one.goal_states} {row}" for one in results for row in one.outcomes["goal"]]
     return {
-        **_totals(results),
+        "success_rate": float(np.mean(success)),
+        "interval": list(cluster_interval(success, starts, goals)),
+        "episodes": len(success),
         **made_by,
-        "learners": learners,
+        "learners": {name: _training(name) for name in names if training_card(name) is not None},
         "results": [asdict(one) for one in results],
-    }
-
-
-def _totals(results: Sequence[Result]) -> dict[str, Any]:
-    """Return the success rate over all setups, its 95 % interval and the number of episodes."""
-    columns: dict[str, list[Any]] = {"success": [], "start": [], "goal": []}
-    for one in results:
-        columns["success"] += one.outcomes["success"]
-        for side, origin in (("start", one.start_states), ("goal", one.goal_states)):
-            columns[side] += [f"{origin} {row}" for row in one.outcomes[side]]
-    return {
-        "success_rate": float(np.mean(columns["success"])),
-        "interval": list(cluster_interval(*columns.values())),
-        "episodes": len(columns["success"]),
     }
 
 

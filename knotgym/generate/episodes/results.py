@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -131,51 +132,35 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
         console: where to print.
         engine: that the episodes were played with; named if it isn't the reference.
     """
-    reached = any(one.steps is not None for one in results)
-    table = narrow_table(
-        (*_SETUP, "success", "95 % interval", *(["steps"] if reached else []), "return"),
-        left=_SETUP[:3],
-    )
-    for one in results:
-        table.add_row(
-            _acting(one),
-            one.task,
-            one.split,
-            str(one.nx),
-            f"{100 * one.success_rate:.1f} %",
-            f"{100 * one.low:.1f} to {100 * one.high:.1f} %",
-            *(["" if one.steps is None else f"{one.steps:.1f}"] if reached else []),
-            f"{one.mean_return:.2f}",
-        )
+    say = partial(console.print, highlight=False)
+    steps = ["steps"] * any(one.steps is not None for one in results)
+    table = narrow_table((*_SETUP, "success", "95 % interval", *steps, "return"), left=_SETUP[:3])
+    rows = {(_acting(one), one.task, one.split, one.nx): one for one in results}
+    for (*setup, nx), one in rows.items():
+        took = [""] if one.steps is None else [f"{one.steps:.1f}"]
+        rates = [f"{100 * rate:.1f}" for rate in (one.success_rate, one.low, one.high)]
+        interval = f"{rates[1]} to {rates[2]} %"
+        cells = f"{rates[0]} %", interval, *took[: len(steps)], f"{one.mean_return:.2f}"
+        table.add_row(*setup, str(nx), *cells)
     console.print(table)
     for one in results:
         if one.planned_actions:
-            console.print(
+            say(
                 f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
-                f" {one.planned_actions:.0f} simulated pulls an episode",
-                highlight=False,
+                f" {one.planned_actions:.0f} simulated pulls an episode"
             )
-    for task, nx in dict.fromkeys(
-        (one.task, one.nx) for one in results if one.start_states != one.goal_states
-    ):
-        console.print(
-            f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
-            highlight=False,
-        )
+    mixed = [one for one in results if one.start_states != one.goal_states]
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in mixed):
+        say(f"{task} nx {nx}: the state file has no plain loops; the included ones are used.")
     if engine != MUJOCO:
-        console.print(f"engine {engine}, not the reference engine {MUJOCO}", highlight=False)
-    columns = list(dict.fromkeys(one.nx for one in results))
-    if len(columns) > 1:
-        matrix = narrow_table(
-            (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
-        )
-        for key in dict.fromkeys((_acting(one), one.task, one.split) for one in results):
-            cells = {
-                one.nx: f"{100 * one.success_rate:.1f}"
-                for one in results
-                if (_acting(one), one.task, one.split) == key
-            }
-            matrix.add_row(*key, *(cells[nx] for nx in columns))
+        say(f"engine {engine}, not the reference engine {MUJOCO}")
+    numbers = list(dict.fromkeys(one.nx for one in results))
+    if len(numbers) > 1:
+        heads = *_SETUP[:3], *(f"nx {nx}" for nx in numbers)
+        matrix = narrow_table(heads, title="success, %", left=_SETUP[:3])
+        for acting, task, split in dict.fromkeys(key[:3] for key in rows):
+            found = [rows[acting, task, split, nx].success_rate for nx in numbers]
+            matrix.add_row(acting, task, split, *(f"{100 * rate:.1f}" for rate in found))
         console.print(matrix)
 
 

@@ -27,11 +27,7 @@ from knotgym.common import (
     read_json,
     require_output,
 )
-from knotgym.datasets import (
-    digests_of,
-    open_episodes,
-    suite_card,
-)
+from knotgym.datasets import digests_of, open_episodes, suite_card
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
 from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.generate.episodes.recordings import Recording, first_difference, recordings
@@ -65,9 +61,7 @@ def make_suite(
         Failed: this machine gets other episodes than recorded. The datasets and the card are
             finished.
     """
-    if progress is None:
-        with Progress(options.quiet) as progress:
-            return make_suite(config, out, options, progress=progress)
+    progress = progress or Progress(options.quiet)
     root = Path(out) if out is not None else minari_root()
     folder, known = root / "knotgym", recordings() if config.recorded else {}
     wanted = _recorded(config, known) if config.recorded else [*config.sets()]
@@ -153,14 +147,13 @@ def _describe_set(made: Path) -> dict[str, Any]:
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
-    recording, digests = recordings().get(dataset.name), digests_of([episodes])
-    agreement = "no"
-    if recording is not None:
+    digests, agreement = digests_of([episodes]), "no"
+    if recording := recordings().get(dataset.name):
         first = first_difference(episodes, recording)
         agreement = "same" if first is None else f"differs from episode {first}"
         # what stepping gave besides, such as rewards: its digest was written with it
-        told = dataset.attributes.get("expansion")
-        if agreement == "same" and told not in (None, digests.get("expansion")):
+        stored = dataset.attributes.get("expansion")
+        if first is None and stored not in (None, digests.get("expansion")):
             agreement = "differs from its own digest: knotgym dataset verify says where"
     files = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
@@ -180,13 +173,8 @@ def _describe_set(made: Path) -> dict[str, Any]:
 
 
 def _write_card(sets: Mapping[str, Any], seed: int, folder: Path) -> None:
-    report = {
-        "format": _FORMAT,
-        "format_version": 1,
-        "knotgym": knotgym.__version__,
-        "seed": seed,
-        "sets": sets,
-    }
+    made_by = {"knotgym": knotgym.__version__, "seed": seed}
+    report = {"format": _FORMAT, "format_version": 1, **made_by, "sets": sets}
     folder.mkdir(parents=True, exist_ok=True)
     references = [
         (measured, setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])

@@ -7,7 +7,7 @@ a time (`datasets.image_rows`). All frames of a rope are in one split.
 
 from collections import Counter
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed, InvalidInput, Stream
-from knotgym.datasets import (
-    PictureRow,
-    arrow,
-    drawn,
-    drawn_table,
-    finish_images,
-    shard_name,
-)
+from knotgym.datasets import PictureRow, arrow, drawn, drawn_table, finish_images, shard_name
 from knotgym.generate.images.frames import Chooser, PicturedRope, Quota, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
 from knotgym.rope import RopeConfig
@@ -74,7 +67,7 @@ def make_images(
         made,
         options,
         progress,
-        prepare=lambda shown, pool: compile_first(shown, config.engine, pool=pool),
+        prepare=partial(compile_first, engine=config.engine),
     )
 
 
@@ -122,19 +115,12 @@ class _Plan(NamedTuple):
         if not len(states):
             raise InvalidInput(f"there is no state with at most {max(config.nx)} crossings")
         knots = sorted(set(states.knot.tolist()))
-        codes = {
-            nx: sorted(
-                {
-                    held_form(str(code), marked=config.marked)
-                    for knot in knots
-                    for code in codes_of(knot, nx)
-                }
-            )
-            for nx in config.nx
-        }
+        codes = dict[int, list[str]]()
         for nx in config.nx:
-            if not codes[nx]:
+            every = [str(code) for knot in knots for code in codes_of(knot, nx)]
+            if not every:
                 raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
+            codes[nx] = sorted({held_form(code, marked=config.marked) for code in every})
         quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
         return cls(quota, held_out(config, codes), states, _splits_of(config, states, set(quota)))
 
@@ -192,10 +178,8 @@ class _Waves:
     """
 
     def __init__(self, config: ImagesConfig, plan: _Plan) -> None:
-        self.ropes, self.chooser = (
-            list[PicturedRope](),
-            Chooser(plan.quota, plan.held_out, config),
-        )
+        self.ropes = list[PicturedRope]()
+        self.chooser = Chooser(plan.quota, plan.held_out, config)
         self.config, self._plan = config, plan
         self._quota_of = list[Quota]()  # that each rope is for
         # by quota: ropes that were pulled for it, and pictures that they gave
@@ -284,19 +268,14 @@ def _files(waves: _Waves) -> dict[str, list[PictureRow]]:
     for place, split in enumerate(IMAGE_SPLITS):
         chosen = [one for one in waves.chooser.chosen if one.split == split]
         order = Stream.IMAGE_ORDER.generator(config.seed, place).permutation(len(chosen)).tolist()
-        count = -(-len(chosen) // config.rows_per_file)
-        for index in range(count):
-            name = shard_name(split, index, count)
-            files[name] = []
-            for at in order[index * config.rows_per_file : (index + 1) * config.rows_per_file]:
-                rope = waves.ropes[chosen[at].source["rope"]]
-                source = {
-                    "policy": config.policies[rope.number % len(config.policies)],
-                    "start": rope.start,
-                    **chosen[at].source,
-                    "seed": config.seed,
-                    "row": number,
-                }
-                files[name].append(PictureRow(chosen[at].points, split, source, chosen[at].camera))
+        firsts = range(0, len(chosen), config.rows_per_file)
+        for index, first in enumerate(firsts):
+            rows = files[shard_name(split, index, len(firsts))] = []
+            for one in (chosen[at] for at in order[first : first + config.rows_per_file]):
+                rope = waves.ropes[one.source["rope"]]
+                policy = config.policies[rope.number % len(config.policies)]
+                source = {"policy": policy, "start": rope.start, **one.source}
+                source |= {"seed": config.seed, "row": number}
+                rows.append(PictureRow(one.points, split, source, one.camera))
                 number += 1
     return files

@@ -5,6 +5,7 @@ rows of the sources, see `states.sources`  (they pass the filter and are new)
 """
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,20 +47,14 @@ def make_states(
     """
     asked = {name: value for name, value in as_json(config).items() if name not in _PATIENCE}
     made_by = identity(config, fields=asked)
-
+    plan = compile_planning if config.demonstrations else None
     return run(
         lambda place: _state_recipe(config, place, made_by),
         Path(out),
         made_by,
         options,
         progress,
-        prepare=lambda shown, pool: compile_first(
-            shown,
-            config.engine_used,
-            pool=pool,
-            draws=True,
-            plan=compile_planning if config.demonstrations else None,
-        ),
+        prepare=partial(compile_first, engine=config.engine_used, draws=True, plan=plan),
     )
 
 
