@@ -29,6 +29,12 @@ Points = NDArray[np.float64]
 shown_strands: Any = runpy.run_path(str(ROOT / "benchmarks" / "picture_check.py"))["shown_strands"]
 
 
+def apart(code: str, *before: str, **env: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of its own, as OpenGL may crash."""
+    words, env = [*before, sys.executable, "-c", code], {**os.environ, **env}
+    return subprocess.run(words, capture_output=True, text=True, timeout=120, env=env)
+
+
 @pytest.fixture(scope="session")
 def opengl() -> None:
     """Skip if MuJoCo's renderer can't draw; tried in another process, which may crash."""
@@ -36,10 +42,7 @@ def opengl() -> None:
         "import numpy as np; from knotgym.rendering.picture import PictureConfig, draw;"
         " draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
     )
-    if (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode
-        != 0
-    ):
+    if apart(code).returncode != 0:
         pytest.skip("no OpenGL context can be made here")
 
 
@@ -170,12 +173,9 @@ def test_a_straight_rope_is_as_wide_as_it_should_be() -> None:
     for size in (64, 128, 256, 512):
         for width in (1.0, 2.0):
             config = PictureConfig(size=size, width=width)
-            across = (
-                draw(points, config, colours=white(4))[:, size // 2 + size // 16, 0].sum() / 255.0
-            )
-            assert across == pytest.approx(
-                2.0 * config.drawn_radius * config.pixels_per_metre, rel=0.07, abs=0.03
-            )
+            image, wanted = draw(points, config, colours=white(4)), 2.0 * config.drawn_radius
+            across = image[:, size // 2 + size // 16, 0].sum() / 255.0 / config.pixels_per_metre
+            assert across == pytest.approx(wanted, rel=0.07, abs=0.03 / config.pixels_per_metre)
 
 
 def test_the_perspective_camera_is_the_published_one() -> None:
@@ -238,14 +238,9 @@ def test_neighbouring_beads_leave_no_gap() -> None:
         config = PictureConfig(size=512)
         image = draw(points, config, colours=white(12))
         for fraction in np.linspace(0.0, 1.0, 21):
-            pixels = np.floor(
-                project(
-                    points + fraction * (np.roll(points, -1, axis=0) - points),
-                    config,
-                    points.mean(axis=0),
-                )
-            ).astype(int)
-            assert np.all(image[pixels[:, 1], pixels[:, 0]] == 255)
+            at = points + fraction * (np.roll(points, -1, axis=0) - points)
+            column, row = np.floor(project(at, config, points.mean(axis=0))).astype(int).T
+            assert np.all(image[row, column] == 255)
 
 
 def test_the_picture_is_that_of_a_ray_tracer() -> None:
@@ -269,16 +264,8 @@ def test_beads_seen_end_on_are_discs() -> None:
 
 
 def test_a_long_steep_bead_goes_over_and_under() -> None:
-    points = np.array(
-        [
-            [-0.1, 0.0, 0.0],
-            [0.1, 0.0, 0.1],
-            [-0.08, 0.1, 0.02],
-            [-0.08, -0.1, 0.02],
-            [0.08, -0.1, 0.08],
-            [0.08, 0.1, 0.08],
-        ]
-    )
+    x, y = (-0.1, 0.1, -0.08, -0.08, 0.08, 0.08), (0.0, 0.0, 0.1, -0.1, -0.1, 0.1)
+    points = np.column_stack([x, y, (0.0, 0.1, 0.02, 0.02, 0.08, 0.08)])
     config = PictureConfig(size=512)
     image, colours = draw(points, config), bead_colours(len(points))
     meetings = np.array([[-0.08, 0.0, 0.02], [0.08, 0.0, 0.09]])
@@ -328,17 +315,9 @@ def test_no_opengl_is_one_clear_line() -> None:
         " knotgym.rendering.picture import PictureConfig, draw\ntry:\n    draw(np.eye(3) * 0.1,"
         " PictureConfig(renderer='mujoco'))\nexcept KnotgymError as error:\n    print(error)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "MUJOCO_GL": "off"},
-    )
-    assert (
-        len(done.stdout.splitlines()) == 1
-        and "renderer='opencv'" in done.stdout
-        and not done.stderr
-    )
+    done = apart(code, MUJOCO_GL="off")
+    assert len(done.stdout.splitlines()) == 1 and not done.stderr
+    assert "renderer='opencv'" in done.stdout
 
 
 # MuJoCo's renderer
@@ -405,7 +384,7 @@ def test_mujoco_leaves_the_process_without_a_word() -> None:
         " threading.Thread(target=draw, args=(np.eye(3) * 0.1, config));thread.start();"
         " thread.join(); draw(np.eye(3) * 0.1, config); print(os.environ.get('MUJOCO_GL'))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = apart(code)
     assert done.stdout.strip() == str(os.environ.get("MUJOCO_GL")) and not done.stderr
 
 
@@ -419,7 +398,7 @@ def test_mujoco_refuses_to_draw_in_the_fork_of_a_process_that_drew() -> None:
         " draw(np.eye(3) * 0.1, config)\nexcept KnotgymError:\n   "
         " os._exit(3)\nprint(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = apart(code)
     assert done.stdout.strip() == "3"
 
 
@@ -431,6 +410,5 @@ def test_mujoco_draws_beside_a_window() -> None:
         " renderer='mujoco', observation='pixels', render_mode='human'); env.reset(seed=0);"
         " env.step(env.action_space.sample()); print('drawn')"
     )
-    words = ["xvfb-run", "-a", sys.executable, "-c", code]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    done = apart(code, "xvfb-run", "-a")
     assert done.stdout.endswith("drawn\n") and "Traceback" not in done.stderr

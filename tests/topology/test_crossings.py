@@ -84,11 +84,7 @@ def test_a_crossing_is_described_in_place() -> None:
     crossings = find_crossings(EIGHT)
     assert (crossings.over_place.tolist(), crossings.under_place.tolist()) == ([0.5], [3.5])
     assert crossings.position.tolist() == [[0.0, 0.0]]
-    assert (crossings.over_z.tolist(), crossings.under_z.tolist(), crossings.sign.tolist()) == (
-        [1.0],
-        [-1.0],
-        [1],
-    )
+    assert (crossings.over_z, crossings.under_z, crossings.sign) == (1.0, -1.0, 1)
 
 
 def test_the_closing_edge_counts() -> None:
@@ -103,11 +99,7 @@ def test_equal_heights_put_the_first_strand_over() -> None:
 @given(seeds)
 def test_all_readers_agree(seed: int) -> None:
     ropes = np.array([random_curve(seed), random_curve(seed + 1)])
-    assert (
-        label_many(ropes)
-        == [label(rope) for rope in ropes]
-        == [find_crossings(rope).code for rope in ropes]
-    )
+    assert label_many(ropes) == [*map(label, ropes)] == [find_crossings(one).code for one in ropes]
 
 
 @given(seeds)
@@ -148,33 +140,6 @@ def test_a_code_survives_rotation_about_z_shift_and_scale(
     points = random_curve(seed)
     assume(visit_spacing(find_crossings(points), 100) > 1e-6)
     assert label(turned(points, angle)) == label((points + shift) * scale) == label(points)
-
-
-@given(seeds)
-def test_walking_backwards_reverses_the_code(seed: int) -> None:
-    points = random_curve(seed)
-    backwards = np.roll(points[::-1], 1, axis=0)
-    assert label(backwards) == label(points).reversed()
-
-
-@given(seeds)
-def test_turning_heights_upside_down_mirrors_the_code(seed: int) -> None:
-    points = random_curve(seed)
-    assert label(points * [1.0, 1.0, -1.0]) == label(points).switched()
-
-
-@given(seeds)
-def test_flipping_left_and_right_reflects_the_code(seed: int) -> None:
-    points = random_curve(seed)
-    assert label(points * [-1.0, 1.0, 1.0]) == label(points).reflected()
-
-
-@given(seeds, st.integers(0, 99))
-def test_moving_the_base_bead_rebases_the_code(seed: int, base: int) -> None:
-    points = random_curve(seed)
-    crossings = find_crossings(points)
-    passed = np.sum(np.concatenate([crossings.over_place, crossings.under_place]) < base)
-    assert label(np.roll(points, -base, axis=0)) == crossings.code.rebased(int(passed))
 
 
 @given(seeds)
@@ -329,12 +294,8 @@ def test_sides_are_exact_where_rounding_would_decide(
 
 @given(arrays(np.float64, (3, 2), elements=st.integers(0, 2).map(float)))
 def test_sides_do_not_depend_on_the_order_of_asking(points: np.ndarray) -> None:
-    assert (
-        side(points, 0, 1, 2)
-        == side(points, 1, 2, 0)
-        == -side(points, 1, 0, 2)
-        == -side(points, 2, 1, 0)
-    )
+    even, odd = ((0, 1, 2), (1, 2, 0)), ((1, 0, 2), (2, 1, 0))
+    assert len({side(points, *a) for a in even} | {-side(points, *a) for a in odd}) == 1
 
 
 @pytest.mark.parametrize(

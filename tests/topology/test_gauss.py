@@ -32,15 +32,6 @@ def test_images_undo_themselves_and_rebasing_adds_up(code: GaussCode, j: int, k:
     assert code.rebased(j).rebased(k) == code.rebased(j + k)
 
 
-@given(codes().filter(lambda code: code.chirality is not None))
-def test_mirroring_negates_the_writhe(code: GaussCode) -> None:
-    assert code.switched().writhe == code.reflected().writhe == -code.writhe
-
-
-def test_reflecting_keeps_the_heights() -> None:
-    assert GaussCode.parse("1+a,2-c,2+c,1-a").reflected().chiral == "1+c,2-a,2+a,1-c"
-
-
 def test_the_flat_loop_is_the_empty_text() -> None:
     flat = GaussCode.parse("")
     assert (str(flat), flat.chiral, flat.nx, flat.writhe) == ("", "", 0, 0)
