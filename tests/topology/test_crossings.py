@@ -84,7 +84,8 @@ def test_a_crossing_is_described_in_place() -> None:
     crossings = find_crossings(EIGHT)
     assert (crossings.over_place.tolist(), crossings.under_place.tolist()) == ([0.5], [3.5])
     assert crossings.position.tolist() == [[0.0, 0.0]]
-    assert (crossings.over_z, crossings.under_z, crossings.sign) == (1.0, -1.0, 1)
+    assert crossings.over_z.tolist() + crossings.under_z.tolist() == [1.0, -1.0]
+    assert crossings.sign.tolist() == [1]
 
 
 def test_the_closing_edge_counts() -> None:
