@@ -1,224 +1,346 @@
-"""The table of learners: from files of `knotgym evaluate --out`, beside the published scores.
+"""The board: from the entries in `benchmarks/entries`, beside published scores.
 
-    python benchmarks/results.py [--learner NAME] FILE.json...
+    python benchmarks/results.py [--check]
 
-Puts a row for each cell of the files into `benchmarks/evaluations.csv`, in the place of an earlier
-measurement of the same policy on the same states, and makes `docs/benchmark.md` from all its rows.
-The column `learner` names the row of the page in which a measurement counts: policies with one
-name there are seeds of one learner. Empty it in the CSV where a later measurement supersedes it.
-Files of one cell that were played with different seeds are counted together; the same episodes
-twice, and files without digests, are refused. Without files it makes the page again.
+Replays every entry, and makes `docs/benchmark.md`, its picture and the rows of README's table that
+have entries from what it counts. The page's text, and rows without an entry, which it shows as
+reported, are in `benchmarks/page.md`. With --check nothing is written: the status is 1 if a file
+would differ. Needs SciPy (the extra `check`).
 """
-
-from __future__ import annotations
 
 import argparse
-import csv
-import io
-import json
-import shlex
-import subprocess
+import re
 import sys
-from collections.abc import Mapping, Sequence
-from itertools import product
+from collections.abc import Iterator, Sequence
+from itertools import combinations, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from scores import CELL, LINE, read_scores
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import bootstrap, kendalltau, mannwhitneyu, trim_mean
+from seeds import CELLS, CHANGES, LEARNERS, ORDERED
 
-from knotgym.common import InvalidFile, atomic_write
-from knotgym.generate import SUITE, EvaluateConfig
-from knotgym.runs import identity
+from knotgym.common import atomic_write
+from knotgym.generate import SUITE, Result, read_entry
+from knotgym.rope import CHAIN
+from knotgym.runs import cluster_interval
 
 ROOT = Path(__file__).parents[1]
-COUNTS = ("nx", "episodes", "successes", "starts", "goals")
-RATES = ("success_rate", "low", "high")
-TEXTS = ("steps", "seeds", "trained_seconds", "commit", "command")  # the first and third may be ""
-COLUMNS = ("learner", *LINE, *CELL, *COUNTS[1:], *RATES, *TEXTS)
-# rows in which these are the same measure the same thing, the later one with newer code
-SAME = ("policy", "settings", "policy_sha256", *CELL)
-HEAD = """# Benchmark
-
-Success rates in per cent, one row a learner. With one training seed the range is the 95 % interval
-of its rate; with several, the rate is their mean and the range goes from the worst to the best
-seed. `python benchmarks/results.py` makes this page from `benchmarks/evaluations.csv`, which has
-the episodes, digests, commit and command of each measurement, the rows of every seed, and
-measurements that later ones superseded.
-
-*Published* rows are of the train split of states that aren't published, of 384 episodes (random:
-256). They stand beside ours for scale; the settings differ. `pretrained` acts on pictures alone, as
-the published learners do, but unlike them it was trained with the simulator's vertices and forces
-as targets, and it plans with a table of 94,955 labelled macro-actions. (The table isn't what
-carries the score: cut to nx 2, 15 of 24 goals are reached; with all of it, 15 of 24.)
-Clones choose a bead and a strand instead of six numbers, so their scores have a table of their own;
-`pretrained-clone` is one of the three seeds of `clone`.
-
-Offline learners are trained on episodes like those of [the suite](suite.md).
-
-On [`bench`](sets.md), with 256 starts and up to 256 goals a cell, 1,024 episodes make intervals of
-about 5 points to either side, or less. Learners named by a size saw the same episodes, so their
-rows compare how an action is chosen: *discrete-bc* classifies the bead and regresses the forces,
-clones classify bead and strand, the others regress where to pull and the forces. All see ropes in a
-canonical frame, but for those that see them *as they lie*.
-
-## Intervals
-
-Episodes repeat start states and goals: a cell of 256 episodes has about 20 tangled states and 8 or
-9 plain loops. The intervals are for the success rate on states drawn as these were, so they
-resample states. A bootstrap over starts and one over goals (2,000 draws each, of a fixed random
-stream, G - 1 of G states with replacement) give the variance V = V(starts) + V(goals) - p (1 - p) /
-n, in which the variance within states, part of both terms, is subtracted once. The interval is
-Wilson's with p (1 - p) / V effective episodes and Student's t with one degree of freedom fewer than
-the states of the smaller side. Where all episodes succeed, or none, each state of the larger side
-counts as one trial. A side with one state adds nothing: the interval then holds for that state
-alone. `knotgym/runs/intervals.py` has the references.
-
-On simulated cells (20 starts, 9 or 20 goals; random effects on the log odds with standard
-deviations of 0 to 2 for starts and half of it for goals) the interval holds the true rate in 93 to
-99 % of cells; Wilson's interval of independent episodes in 53 to 97 %, least where states differ
-most: `pytest -m slow tests/runs/test_intervals.py`.
-"""
-Row = dict[str, Any]
+ENTRIES, TEXT = ROOT / "benchmarks" / "entries", ROOT / "benchmarks" / "page.md"
+SETUPS = list(product(SUITE["tasks"], SUITE["nx"]))
+BENCH = ("bench", "test", True, False)
+# rows of README's table: how they begin, and the learner and the track of their entry
+SHOWN = {
+    "| A | random actions ": ("random", BENCH),
+    "| A | `expert`": ("expert", BENCH),
+}
+MOST = 16  # rows that are named of each cell
+NO_LEARNERS = ("random", "scripted", "expert")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#999999")
+Floats = NDArray[np.float64]
+Track = tuple[str, str, bool, bool]  # states, split, chain engine, macro-actions
 
 
-def command(row: Mapping[str, Any]) -> str:
-    """The command that measures a policy of `knotgym evaluate`; of several seeds, the first's."""
-    flags: dict[str, Any] = {
-        **{name: row[name] for name in ("policy", "task", "nx", "split")},
-        "episodes": row["episodes"] // len(row["seeds"]),
-        "seed": row["seeds"][0],
-    }
-    if row["states"] != "readable":
-        flags["states"] = row["states"]
-    for setting in filter(None, row["settings"].split("; ")):
-        name, _, value = setting.partition("=")
-        flags[name.rpartition(".")[2].replace("_", "-")] = value.strip('"')
-    words = [f"--{name} {shlex.quote(str(value))}" for name, value in flags.items()]
-    return " ".join(["knotgym evaluate", *words])
+class Row(NamedTuple):
+    """A result of an entry, and what its learner is called: its name and the tier of its set."""
+
+    learner: str
+    tier: str
+    track: Track
+    result: Result
 
 
-def commit() -> str:
-    """The commit of this checkout."""
-    words = ["git", "-C", str(ROOT), "rev-parse", "--short=12", "HEAD"]
-    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
-
-
-def as_cell(row: Mapping[str, Any], at: str, learner: str) -> Row:
-    """A row of `read_scores` as the table has it; measured with the code of commit `at`.
-
-    Raises:
-        InvalidFile: the code that measured it isn't that of this checkout.
-    """
-    code = identity(EvaluateConfig())["versions"]["code"]
-    if row["code_sha256"] != code:
-        raise InvalidFile(
-            f"{row['policy']}, {row['task']} nx {row['nx']} was measured with code"
-            f" {row['code_sha256'][:8]}, and this checkout has {code[:8]}: check out"
-            " its commit, or measure it again"
+def rows_of(path: Path) -> Iterator[Row]:
+    """The results of an entry, which is replayed."""
+    entry = read_entry(path)
+    if entry is None:
+        raise SystemExit(f"{path} isn't an entry")
+    config = entry.config
+    for (one, faults), claimed in zip(entry.recounted(), entry.claimed, strict=True):
+        if faults:
+            raise SystemExit(f"{path}: {faults[0]}")
+        training = claimed["training"]
+        name = training.get("learner", one.policy) if ":" in one.policy else one.policy
+        (tier,) = {*re.findall(r"-(\d+[kM])-v0", " ".join(training.get("data", {})))} or {""}
+        in_chain, in_macros = config.task.engine == CHAIN, one.action == "macro"
+        yield Row(
+            name, tier, (config.task.states or "readable", one.split, in_chain, in_macros), one
         )
-    trained = row["training"].get("seconds")
-    return {
-        "learner": learner,
-        **{name: row[name] for name in (*LINE, *CELL, *COUNTS)},
-        **dict(zip(RATES, (row["success_rate"], *row["interval"]), strict=True)),
-        "steps": row["steps"],
-        "seeds": row["seeds"],
-        "trained_seconds": trained,
-        "commit": at,
-        "command": row["training"].get("command") or command(row),
-    }
 
 
-def read_table(path: Path) -> list[Row]:
-    """The rows of the table; none where there is no file."""
-    if not path.is_file():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        rows: list[Row] = list(csv.DictReader(file))
-    for row in rows:
-        row |= {name: int(row[name]) for name in COUNTS}
-        row |= {name: float(row[name]) for name in RATES}
-        row |= {name: json.loads(row[name] or "null") for name in TEXTS[:3]}
-    return rows
+def table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> list[str]:
+    """The lines of a Markdown table."""
+    return [f"| {' | '.join(map(str, one))} |" for one in (head, ["---"] * len(head), *rows)]
 
 
-def table_text(rows: Sequence[Row]) -> str:
-    """The table as CSV."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        told = {name: json.dumps(row[name]) for name in TEXTS[:3] if row[name] is not None}
-        rates = {name: f"{row[name]:.5f}" for name in RATES}
-        writer.writerow({**row, **dict.fromkeys(TEXTS[:3], ""), **told, **rates})
-    return text.getvalue()
+def over_seeds(found: Sequence[Result]) -> tuple[float, float, float]:
+    """The rate of results of one cell, and its interval over states and, of several, seeds."""
+    if len(found) == 1:
+        return found[0].success_rate, found[0].low, found[0].high
+    parts = {name: sum((one.outcomes[name] for one in found), []) for name in found[0].outcomes}
+    seeds = np.repeat(range(len(found)), [one.episodes for one in found])
+    interval = cluster_interval(parts["success"], parts["start"], parts["goal"], seeds)
+    return float(np.mean(parts["success"])), *interval
+
+
+def boards(rows: Sequence[Row]) -> Iterator[str]:
+    """A table for each set of states, split, engine and kind of action."""
+    head = ("learner", "seeds", *(f"{task} {nx}" for task, nx in SETUPS))
+    for track in sorted({row.track for row in rows}):
+        states, split, in_chain, in_macros = track
+        body: list[tuple[object, ...]] = []
+        own = [row for row in rows if row.track == track]
+        for learner, tier in sorted({(row.learner, row.tier) for row in own}):
+            mine = [row.result for row in own if (row.learner, row.tier) == (learner, tier)]
+            cells = [[one for one in mine if (one.task, one.nx) == setup] for setup in SETUPS]
+            shown = [
+                "**{:.1f}** ({:.0f} to {:.0f})".format(*(100 * one for one in over_seeds(cell)))
+                if cell
+                else ""
+                for cell in cells
+            ]
+            body.append((learner + f", {tier}" * bool(tier), max(map(len, cells)), *shown))
+        yield (
+            f"### States {states}, {split} split"
+            + ", chain engine" * in_chain
+            + (", macro-actions" * in_macros)
+        )
+        yield from ("", *table(head, body), "")
+
+
+def grid(rows: Sequence[Row]) -> dict[str, Floats]:
+    """Success rates of the learners with several seeds, (learners, seeds), by cell of `seeds`."""
+    found: dict[str, Floats] = {}
+    for name, (task, nx, tier, _) in CELLS.items():
+        rates = [
+            [
+                row.result.success_rate
+                for row in rows
+                if (row.learner, row.tier, row.track)
+                == (learner, tier, ("bench", "test", True, False))
+                and (row.result.task, row.result.nx) == (task, nx)
+            ]
+            for learner in LEARNERS
+        ]
+        if all(rates):
+            count = min(map(len, rates))
+            found[name] = np.array([own[:count] for own in rates])
+    return found
+
+
+def better(first: Floats, second: Floats) -> float:
+    """The probability of improvement: that a seed of the first beats one of the second."""
+    return float(mannwhitneyu(first, second).statistic / (len(first) * len(second)))
+
+
+def iqm(*cells: Floats, axis: int = -1) -> Any:
+    """The mean of the middle half of all seeds of all cells."""
+    return trim_mean(np.concatenate(cells, axis=axis), 0.25, axis=axis)
+
+
+def agreement(rates: Floats) -> tuple[float, float]:
+    """Kendall's tau of the learners' order, on average: of two seeds, and of two halves."""
+
+    def tau(one: Sequence[int], other: Sequence[int]) -> float:
+        means = (rates[:, list(own)].mean(axis=1) for own in (one, other))
+        return float(kendalltau(*means).statistic)
+
+    seeds = range(rates.shape[1])
+    single = [tau([one], [other]) for one, other in combinations(seeds, 2)]
+    halves = [
+        tau(one, other)
+        for one, other in combinations(combinations(seeds, len(seeds) // 2), 2)
+        if not {*one} & {*other}
+    ]
+    return float(np.mean(single)), float(np.mean(halves))
+
+
+def expected(cells: dict[str, Floats]) -> Iterator[tuple[str, str, str]]:
+    """What was expected before the first training, what was found, and whether it came true."""
+    number = {name: k for k, name in enumerate(LEARNERS)}
+
+    def gain(first: str, second: str, cell: str) -> float:
+        return float(100 * (cells[cell][number[first]] - cells[cell][number[second]]).mean())
+
+    for first, second in ORDERED:
+        own = cells["tie-nx2-10k"]
+        chance = better(own[number[first]], own[number[second]])
+        found = f"{gain(first, second, 'tie-nx2-10k'):+.1f} points, {100 * chance:.0f} % of pairs"
+        yield f"{first} above {second}", found, "yes" if chance >= 0.9 else "no"
+    for first, second, before, after in CHANGES:
+        text = f"{first} above {second} at {before}, below at {after}"
+        gains = [gain(first, second, cell) for cell in (before, after) if cell in cells]
+        found = " and ".join(f"{one:+.1f} points" for one in gains)
+        if len(gains) < 2:
+            yield text, f"{found}; {after} isn't measured yet", "no" if gains[0] <= 0 else "open"
+        else:
+            yield text, found, "yes" if gains[0] > 0 > gains[1] else "no"
+
+
+def five_seeds(cells: dict[str, Floats]) -> Iterator[str]:
+    """Learners with several trainings: what is more than chance."""
+    if not cells:
+        return
+    rng = np.random.default_rng(0)
+    body = []
+    for k, name in enumerate(LEARNERS):
+        own = [rates[k] for rates in cells.values()]
+        drawn = bootstrap(own, iqm, n_resamples=2000, method="percentile", rng=rng)
+        low, high = (100 * end for end in drawn.confidence_interval)
+        rates = (
+            f"{100 * one.mean():.1f} ({100 * one.min():.0f} to {100 * one.max():.0f})"
+            for one in own
+        )
+        body.append((100 * float(iqm(*own)), name, low, high, *rates))
+    body.sort(reverse=True)
+    head = ("learner", "IQM", "95 % interval", *(f"{name}, mean (worst to best)" for name in cells))
+    lines = [
+        (name, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", *own)
+        for middle, name, low, high, *own in body
+    ]
+    yield from table(head, lines)
+    yield "\n![Share of trainings with at least a success rate, by learner](profile.svg)\n"
+    order = [row[1] for row in body]
+    yield "How often a training of the row is better than one of the column, in per cent:\n"
+    chances = [
+        [f"{100 * chance(cells, one, other):.0f}" * (one != other) for other in order]
+        for one in order
+    ]
+    pairs = [(name, *own) for name, own in zip(order, chances, strict=True)]
+    yield from table(("", *order), pairs)
+    yield ""
+    for name, trainings in cells.items():
+        single, halves = agreement(trainings)
+        yield (
+            f"In {name}, Kendall's tau of the learners' order is {single:.2f} between two seeds,"
+            f" and {halves:.2f} between two halves of the seeds.\n"
+        )
+    yield "Expected before the first training (`benchmarks/seeds.py`), and found:\n"
+    yield from table(("expected", "found", "came true"), list(expected(cells)))
+    yield ""
+
+
+def chance(cells: dict[str, Floats], one: str, other: str) -> float:
+    """The probability of improvement on average over cells."""
+    rows = [(rates[LEARNERS.index(one)], rates[LEARNERS.index(other)]) for rates in cells.values()]
+    return float(np.mean([better(*pair) for pair in rows]))
+
+
+def profile(cells: dict[str, Floats]) -> str:
+    """Performance profiles: the share of trainings whose rate is at least x."""
+    lines = []
+    for k, name in enumerate(LEARNERS):
+        own = np.concatenate([[], *(rates[k] for rates in cells.values())])
+        steps = [f"{40 + 4 * x:.0f},{220 - 200 * np.mean(own >= x / 100):.0f}" for x in range(101)]
+        lines.append(
+            f'<polyline fill="none" stroke="{COLOURS[k]}" stroke-width="2"'
+            f' points="{" ".join(steps)}"/>'
+            f'<text x="455" y="{30 + 22 * k}" fill="{COLOURS[k]}">{name}</text>'
+        )
+    marks = [f'<text x="{35 + 100 * k}" y="240">{25 * k}</text>' for k in range(5)]
+    return "\n".join(
+        [
+            '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 560 265" font-family="sans-serif"'
+            ' font-size="13"><rect width="560" height="265" fill="white"/>',
+            '<path d="M40 20V220H440" fill="none" stroke="#666"/><text x="8" y="25">100</text>'
+            '<text x="20" y="224">0</text><text x="150" y="258">success rate at least, %</text>',
+            *marks,
+            *lines,
+            "</svg>\n",
+        ]
+    )
+
+
+def hard_starts(rows: Sequence[Row]) -> Iterator[str]:
+    """For each cell of bench: random, the best learner, and what every learner fails on."""
+    body, failed = [], dict[str, list[int]]()
+    for task, nx in SETUPS:
+        here = [row for row in rows if row.track[:3] == BENCH[:3]]
+        own = [row for row in here if (row.result.task, row.result.nx) == (task, nx)]
+        learners = [row for row in own if row.learner not in NO_LEARNERS]
+        rates = {row.learner: 100 * row.result.success_rate for row in own}
+        if not learners:
+            continue
+        best = max(learners, key=lambda row: row.result.success_rate)
+        side = "goal" if task == "tie" else "start"  # the other one of tie is a plain loop
+        tangled: dict[int, list[int]] = {}
+        for row in learners:
+            found = row.result.outcomes
+            for state, done in zip(found[side], found["success"], strict=True):
+                tangled.setdefault(state, []).append(done)
+        failed[f"{task} {nx}"] = sorted(state for state, done in tangled.items() if not any(done))
+        share = 100 * len(failed[f"{task} {nx}"]) / len(tangled)
+        told = [f"{rates[name]:.1f}" if name in rates else "" for name in ("random", "expert")]
+        shown = f"{100 * best.result.success_rate:.1f} ({best.learner})"
+        body.append((f"{task} {nx}", *told, shown, len(learners), f"{share:.1f} of {len(tangled)}"))
+    head = ("cell", "random", "expert", "best learner", "trainings", "all fail on, % of states")
+    yield from table(head, body)
+    yield ""
+    for cell, states in failed.items():
+        if states:
+            yield f"{cell}, rows of `bench`: {', '.join(map(str, states[:MOST]))}\n"
 
 
 def page(rows: Sequence[Row]) -> str:
-    """docs/benchmark.md: a table for each set of states, split, engine and kind of action."""
-    setups = list(product(SUITE["tasks"], SUITE["nx"]))
-    head = ("learner", "seeds", *(f"{task} {nx}" for task, nx in setups))
-    lines = [HEAD]
-    for track in sorted({_track(row) for row in rows if row["learner"]}):
-        in_macros, states, split, in_chain = track
-        body: list[tuple[object, ...]] = []
-        own = [row for row in rows if row["learner"] and _track(row) == track]
-        for learner in sorted({row["learner"] for row in own}):
-            cells: dict[tuple[str, int], list[Row]] = {}
-            for row in own:
-                if row["learner"] == learner:
-                    cells.setdefault((row["task"], row["nx"]), []).append(row)
-            seeds = max(map(len, cells.values()))
-            body.append((learner, seeds, *(_rate(cells.get(setup, [])) for setup in setups)))
-        # they were measured on states like those of both other sets
-        if not in_macros and not in_chain and states != "bench":
-            body += [(f"*{name}, published*", "", *own) for name, own in SUITE["published"].items()]
-        title = f"## States {states}, {split} split" + ", chain engine" * in_chain
-        title += ", macro-actions" * in_macros
-        lines += [
-            title,
-            "",
-            *(f"| {' | '.join(map(str, one))} |" for one in (head, ["---"] * len(head), *body)),
-            "",
+    """docs/benchmark.md: the text, with tables in the places of its marks."""
+    published = [(f"*{name}*", *own) for name, own in SUITE["published"].items()]
+    parts = {
+        "boards": boards(rows),
+        "seeds": five_seeds(grid(rows)),
+        "hard": hard_starts(rows),
+        "published": table(("learner", *(f"{task} {nx}" for task, nx in SETUPS)), published),
+    }
+    text = TEXT.read_text(encoding="utf-8")
+    for name, lines in parts.items():
+        text = text.replace(f"<!-- {name} -->", "\n".join(lines).rstrip("\n"))
+    return text
+
+
+def readme(text: str, rows: Sequence[Row]) -> str:
+    """README with the rates of the rows that have entries."""
+    for begins, (learner, track) in SHOWN.items():
+        rates = {
+            (row.result.task, row.result.nx): f"{100 * row.result.success_rate:.1f}".replace(
+                "100.0", "100"
+            )
+            for row in rows
+            if row.learner == learner and row.track == track
+        }
+        if not rates:
+            continue
+        cells = [
+            ", ".join(rates.get((task, nx), "-") for nx in SUITE["nx"]) for task in SUITE["tasks"]
         ]
-    return "\n".join(lines).rstrip("\n") + "\n"
-
-
-def _track(row: Row) -> tuple[bool, str, str, bool]:
-    """What has a table of its own: whether actions are macro-actions, states, split, engine."""
-    settings = row["settings"].split("; ")
-    in_macros, in_chain = ('action="macro"' in settings), ('engine="chain"' in settings)
-    return in_macros, row["states"], row["split"], in_chain
-
-
-def _rate(seeds: Sequence[Row]) -> str:
-    """The rate of one seed with its interval; of several, the mean with the worst and the best."""
-    if not seeds:
-        return ""
-    rates = [100 * row["success_rate"] for row in seeds]
-    low, high = (100 * seeds[0]["low"], 100 * seeds[0]["high"])
-    if len(seeds) > 1:
-        low, high = min(rates), max(rates)
-    return f"**{sum(rates) / len(rates):.1f}** ({low:.0f} to {high:.0f})"
+        cells = ["-" if not re.search(r"\d", cell) else cell for cell in cells]
+        pattern = re.compile(rf"^({re.escape(begins)}[^|]*\|).*$", re.M)
+        text, made = pattern.subn(rf"\1 {' | '.join(cells)} |", text)
+        if made != 1:
+            raise SystemExit(f"README.md has {made} rows that begin with {begins!r}")
+    return text
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("evaluations", type=Path, nargs="*")
-    parser.add_argument("--learner", help="row of the page; by default the policy's name")
-    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "evaluations.csv")
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "benchmark.md")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a file differs")
+    parser.add_argument("--entries", type=Path, default=ENTRIES, help="folder of entries")
+    parser.add_argument("--root", type=Path, default=ROOT, help="folder of README.md and docs")
     given = parser.parse_args()
-    try:
-        scores = read_scores(given.evaluations)
-        measured = [as_cell(row, commit(), given.learner or row["policy"]) for row in scores]
-    except InvalidFile as error:
-        sys.exit(str(error))
-    rows = {tuple(str(row[name]) for name in SAME): row for row in read_table(given.out)}
-    rows |= {tuple(str(row[name]) for name in SAME): row for row in measured}
-    ordered = sorted(rows.values(), key=lambda row: [str(row[name]) for name in (*CELL, *LINE)])
-    for path, text in ((given.out, table_text(ordered)), (given.page, page(ordered))):
-        with atomic_write(path) as part:
+    rows = [row for path in sorted(given.entries.glob("*.h5")) for row in rows_of(path)]
+    made = {
+        "docs/benchmark.md": page(rows),
+        "docs/profile.svg": profile(grid(rows)),
+        "README.md": readme((given.root / "README.md").read_text(encoding="utf-8"), rows),
+    }
+    for name, text in made.items():
+        path = given.root / name
+        if path.is_file() and path.read_text(encoding="utf-8") == text:
+            continue
+        if given.check:
+            sys.exit(f"{name} isn't what the entries make: run benchmarks/results.py")
+        with atomic_write(path, overwrite=True) as part:
             part.write_text(text, encoding="utf-8")
 
 

@@ -10,7 +10,6 @@ from .episodes.recordings import Recording as Recording
 from .episodes.recordings import recordings as recordings
 from .episodes.recordings import write_recordings as write_recordings
 from .episodes.results import Result as Result
-from .episodes.results import evaluation_in as evaluation_in
 from .episodes.suite import make_suite as make_suite
 from .episodes.suite_config import SUITE as SUITE
 from .episodes.suite_config import SuiteConfig as SuiteConfig
