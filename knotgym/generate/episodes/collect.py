@@ -19,15 +19,14 @@ from knotgym.common import (
     InvalidFile,
     InvalidInput,
     Occupied,
-    Stream,
     Table,
     as_json,
     differences,
     require_output,
     sha256,
 )
-from knotgym.control import PolicyConfig, compile_planning, make_policy, rollouts
-from knotgym.datasets import PULLS, STEPS, Episodes, MinariMetadata, machine, open_episodes, publish
+from knotgym.control import PolicyConfig, compile_planning, make_policy
+from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.episode_configs import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, rebuilt
@@ -240,11 +239,7 @@ def _first_steps(parts: list[Episodes], steps: int) -> list[Episodes]:
 
 def play(config: CollectConfig, numbers: range) -> Result:
     """Play a block of a collection's episodes."""
-    policy = make_policy(config.policy)
-    adviser = make_policy(replace(config.policy, policy="expert")) if config.labels else None
-    seeds = [Stream.EPISODE.derived_seed(config.seed, number) for number in numbers]
-    kept = PULLS if config.form == "recording" else STEPS
-    return rollouts(policy, config.policy_task, seeds, keep=kept, adviser=adviser).columns()
+    return config.played(numbers, config.seed).columns()
 
 
 def _publish(

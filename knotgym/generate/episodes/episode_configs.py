@@ -4,22 +4,19 @@ nothing here computes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import NonNegativeInt, PositiveInt
 
-from knotgym.common import Seed, choice, configuration
+from knotgym.common import Distinct, InvalidInput, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import MUJOCO
 
 if TYPE_CHECKING:
     from knotgym.datasets import Episodes
-
-from collections.abc import Iterator
-
-from knotgym.common import Distinct, InvalidInput
 
 # Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
 OBSERVATION = "state"
@@ -72,10 +69,15 @@ class CollectConfig:
 
     def played(self, numbers: range, seed: int) -> Episodes:
         """Play some of the episodes that a collection with this seed has, by their numbers."""
-        from knotgym.datasets import Episodes
-        from knotgym.generate.episodes.collect import play  # which imports this module
+        # both compute, and the command line reads this module first
+        from knotgym.control import make_policy, rollouts
+        from knotgym.datasets import PULLS, STEPS
 
-        return Episodes.of(play(replace(self, seed=seed), numbers))
+        policy = make_policy(self.policy)
+        adviser = make_policy(replace(self.policy, policy="expert")) if self.labels else None
+        seeds = [Stream.EPISODE.derived_seed(seed, number) for number in numbers]
+        kept = PULLS if self.form == "recording" else STEPS
+        return rollouts(policy, self.policy_task, seeds, keep=kept, adviser=adviser)
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
