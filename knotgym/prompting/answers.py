@@ -16,7 +16,6 @@ Gauss code. Anything else has a fault, which is counted apart from failures at t
 
 import math
 import re
-from typing import NamedTuple
 
 from knotgym.common import InvalidInput
 from knotgym.topology import GaussCode
@@ -27,62 +26,50 @@ _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _LONGEST_CODE = 1000  # characters
 
 
-class ActionsRead(NamedTuple):
-    """The actions of an answer, six numbers each; empty with a fault."""
-
-    actions: list[list[float]]
-    fault: str = ""
-
-
-class CodeRead(NamedTuple):
-    """The Gauss code of an answer; None with a fault."""
-
-    code: GaussCode | None
-    fault: str = ""
-
-
-def read_actions(text: str, most: int) -> ActionsRead:
-    """Parse an answer's actions, of which there may be up to `most`.
+def read_actions(text: str, most: int) -> tuple[list[list[float]], str]:
+    """Return the actions of an answer, up to `most` of six numbers each, or none and a fault.
 
     >>> read_actions("So: <answer>[0.1, 0, 0, 1, 0, 0]</answer>", 1)
-    ActionsRead(actions=[[0.1, 0.0, 0.0, 1.0, 0.0, 0.0]], fault='')
-    >>> read_actions("<answer>[0.1, 0, 0, 1.5, 0, 0]</answer>", 1).fault
-    'out of range'
+    ([[0.1, 0.0, 0.0, 1.0, 0.0, 0.0]], '')
+    >>> read_actions("<answer>[0.1, 0, 0, 1.5, 0, 0]</answer>", 1)
+    ([], 'out of range')
     """
     inside, fault = _block(text)
     if fault:
-        return ActionsRead([], fault)
+        return [], fault
     if re.sub(r"[\s,]", "", _LIST.sub("", inside)):
-        return ActionsRead([], "malformed")
+        return [], "malformed"
     actions = []
     for match in _LIST.finditer(inside):
         words = [word.strip() for word in match[1].split(",")]
         fault = _fault_of(words)
         if fault:
-            return ActionsRead([], fault)
+            return [], fault
         actions.append([float(word) for word in words])
     if not 1 <= len(actions) <= most:
-        return ActionsRead([], "number of actions")
-    return ActionsRead(actions)
+        return [], "number of actions"
+    return actions, ""
 
 
-def read_code(text: str) -> CodeRead:
-    """Parse an answer's Gauss code, in brackets or not; an empty block is a flat loop.
+def read_code(text: str) -> tuple[GaussCode | None, str]:
+    """Return an answer's Gauss code, in brackets or not, or None and a fault.
 
-    >>> str(read_code("<answer>[1+, 1-]</answer>").code)
+    An empty block is a flat loop.
+
+    >>> str(read_code("<answer>[1+, 1-]</answer>")[0])
     '1+,1-'
     """
     inside, fault = _block(text)
     if fault:
-        return CodeRead(None, fault)
+        return None, fault
     whole = _LIST.fullmatch(inside.strip())
     inside = whole[1] if whole else inside
     if len(inside) > _LONGEST_CODE:
-        return CodeRead(None, "malformed")
+        return None, "malformed"
     try:
-        return CodeRead(GaussCode.parse(inside))
+        return GaussCode.parse(inside), ""
     except InvalidInput:
-        return CodeRead(None, "malformed")
+        return None, "malformed"
 
 
 def _block(text: str) -> tuple[str, str]:

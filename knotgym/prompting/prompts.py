@@ -16,10 +16,9 @@ import base64
 import hashlib
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 MODES = ("open", "stateless", "stateful", "read")
 OPEN, STATELESS, STATEFUL, READ = MODES
@@ -29,8 +28,7 @@ TEXTS = tomllib.loads((_FOLDER / "prompts.toml").read_text("utf-8"))
 _SUCCESS = TEXTS["success"].format(code=TEXTS["code"])
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A picture in a prompt.
 
     Attributes:
@@ -50,8 +48,7 @@ class Picture:
 Part = str | Picture
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """A past turn of an episode: the picture and the model's answer."""
 
     picture: Picture

@@ -42,7 +42,7 @@ def test_a_wrong_answer_has_no_action_and_a_fault(text: str, fault: str) -> None
     [("1+,1-", "1+,1-"), (" [1-, 2+, 2-, 1+] ", "1-,2+,2-,1+"), ("", ""), ("[]", "")],
 )
 def test_a_code_is_read_with_brackets_or_without(text: str, code: str) -> None:
-    assert str(read_code(f"so <answer>{text}</answer>").code) == code
+    assert str(read_code(f"so <answer>{text}</answer>")[0]) == code
 
 
 @pytest.mark.parametrize("text", ["1+,1+", "2+,2-", "none", "1+;1-", "9" * 5000 + "+"])
