@@ -2,7 +2,7 @@
 
 Importing this package registers the environments knotgym/Unknot-v0, knotgym/Tie-v0 and
 knotgym/Convert-v0 with Gymnasium, and knotgym/tie-nx2-v0 and the like for OGBench
-(`adapters.ogbench_environment`). All names below are imported on first use.
+(`adapters.OGBenchEnv`). All names below are imported on first use.
 """
 
 import os
@@ -93,6 +93,6 @@ for _task in ("unknot", "tie", "convert"):
         for _prefix, _observation in (("", "state"), ("visual-", "pixels")):  # OGBench's prefix
             gymnasium.register(
                 id=f"knotgym/{_prefix}{_task}-nx{_nx}-v0",
-                entry_point="knotgym.adapters.ogbench_environment:OGBenchEnv",
+                entry_point="knotgym.adapters.goal_environment:OGBenchEnv",
                 kwargs={"task": _task, "nx": _nx, "split": "test", "observation": _observation},
             )

@@ -1,10 +1,14 @@
-"""Goal-conditioned environments for hindsight experience replay.
+"""Goal-conditioned environments: for hindsight experience replay, and for OGBench's agents.
 
 A goal is a Gauss code, int16 (1 + SYMBOLS,): a 1, then its visits as in a "symbolic" observation.
 An achieved goal has the same format, but starts with 0 if it must not count as a success: because
 the rope shows the code with which the episode started, is beyond `tow_limit`, or shows more
 crossings than fit. Half of all states show their episode's first code; relabelling them as goals
 would reward doing nothing.
+
+OGBench's ids are `knotgym/tie-nx2-v0`, `knotgym/visual-tie-nx2-v0` and the like. It derives an id
+from the name of a dataset, such as `knotgym/tie-nx2-expert-v0`, by removing the policy's name;
+"visual" stands for pictures.
 """
 
 from typing import Any
@@ -22,6 +26,8 @@ from knotgym.envs import (
     Situation,
     TaskConfig,
 )
+
+_TASKS = 5  # number of evaluation goals, as in OGBench
 
 
 class GoalEnv(KnotEnv):
@@ -79,7 +85,7 @@ class Goals:
 
     def __init__(self, episodes: EpisodeBatch) -> None:
         task = episodes.task
-        require_one_side(task)
+        _require_one_side(task)
         if task.hold != 1 or task.failure_reward:
             raise InvalidInput(
                 "with goals that may be relabelled, hold must be 1 and failure_reward 0, got"
@@ -89,7 +95,7 @@ class Goals:
         self._began = Observer.symbols(episodes.visits)
         goal = spaces.Box(-SYMBOLS, SYMBOLS, (1 + SYMBOLS,), np.int16)
         self.space = spaces.Dict(
-            {"observation": rope_space(task), "achieved_goal": goal, "desired_goal": goal}
+            {"observation": _rope_space(task), "achieved_goal": goal, "desired_goal": goal}
         )
 
     def begin(self, ids: NDArray[np.int64]) -> None:
@@ -100,7 +106,7 @@ class Goals:
         """Return the observations of the episodes `ids`: arrays (n, ...)."""
         episodes = self.episodes
         return {
-            "observation": halves(episodes.observations(ids), batched=True)[0],
+            "observation": _halves(episodes.observations(ids), batched=True)[0],
             "achieved_goal": _encoded(episodes.visits[ids], self._count(ids)),
             "desired_goal": _encoded(episodes.wanted[ids], np.ones(len(ids), dtype=bool)),
         }
@@ -127,13 +133,70 @@ class Goals:
         return ~same & fits & ~episodes.towed[ids] & ~episodes.failed[ids]
 
 
-def rope_space(config: TaskConfig) -> spaces.Box:
+class OGBenchEnv(KnotEnv):
+    """A `KnotEnv` whose observation is the rope alone; the goal is in `info`.
+
+    `reset(options={"task_id": k})` starts the k-th of `task_infos`; without it, start and goal are
+    sampled. The option `render_goal` adds a picture of the goal as `info["goal_rendered"]`. `info`
+    holds numbers only (`numeric_infos`); `info["goal"]` is the goal as an observation, its row
+    `info["goal_row"]`, and `info["success"]` equals `info["is_success"]`.
+
+    Attributes:
+        task_infos: five pairs of a start and a goal, spread evenly over the rows of the split, as
+            dicts of `task_name` and the rows `start` and `goal`.
+    """
+
+    def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
+        super().__init__(task, render_mode, **{"numeric_infos": True, **settings})
+        _require_one_side(self.config)
+        self.observation_space = _rope_space(self.config)
+        rows = self.episodes.rows["start"]
+        starts = [int(rows[k * len(rows) // _TASKS]) for k in range(_TASKS)]
+        goals = [self.episodes.goal_rows(start) for start in starts]
+        self.task_infos = [
+            {
+                "task_name": f"task{k + 1}",
+                "start": start,
+                "goal": int(goals[k][k * len(goals[k]) // _TASKS]),
+            }
+            for k, start in enumerate(starts)
+        ]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode; options as in `KnotEnv`, and `task_id`, 1 to 5, and `render_goal`."""
+        options = dict(options or {})
+        task_id, render_goal = options.pop("task_id", None), options.pop("render_goal", False)
+        if task_id is not None:
+            if task_id not in range(1, _TASKS + 1):
+                raise InvalidInput(f"task_id must be a number from 1 to {_TASKS}, got {task_id!r}")
+            chosen = self.task_infos[task_id - 1]
+            options = {"start": chosen["start"], "goal": chosen["goal"], **options}
+        both, info = super().reset(seed=seed, options=options)
+        if render_goal:
+            info["goal_rendered"] = _halves(self.episodes.rgb(0))[1]
+        return _goal_to_info(both, info)
+
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Take one action, as `KnotEnv.step`."""
+        both, reward, terminated, truncated, info = super().step(action)
+        rope, info = _goal_to_info(both, info)
+        return rope, reward, terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return the rope alone, uint8 (size, size, 3)."""
+        picture = super().render()
+        return None if picture is None else _halves(picture)[0]
+
+
+def _rope_space(config: TaskConfig) -> spaces.Box:
     """Return the space of the rope's half of an observation."""
     whole: Any = Observer(config).space
-    return spaces.Box(halves(whole.low)[0], halves(whole.high)[0], dtype=whole.dtype)
+    return spaces.Box(_halves(whole.low)[0], _halves(whole.high)[0], dtype=whole.dtype)
 
 
-def halves(observation: NDArray[Any], batched: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
+def _halves(observation: NDArray[Any], batched: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
     """Split an observation (picture, state or symbols) into the rope's and the goal's half.
 
     Several observations (n, ...) are split if they are `batched`.
@@ -145,8 +208,8 @@ def halves(observation: NDArray[Any], batched: bool = False) -> tuple[NDArray[An
     return (rope, goal) if batched else (rope[0], goal[0])
 
 
-def require_one_side(config: TaskConfig) -> None:
-    """Raise InvalidInput if observations of the task can't be split by `halves`."""
+def _require_one_side(config: TaskConfig) -> None:
+    """Raise InvalidInput if observations of the task can't be split by `_halves`."""
     if config.observation in ("both", "marked") or config.layout != "beside":
         raise InvalidInput(
             "an environment that shows the rope without its goal needs observation 'pixels',"
@@ -157,3 +220,9 @@ def require_one_side(config: TaskConfig) -> None:
 
 def _encoded(visits: NDArray[np.int16], count: NDArray[np.bool_]) -> NDArray[np.int16]:
     return np.concatenate([count[:, None].astype(np.int16), Observer.symbols(visits)], axis=1)
+
+
+def _goal_to_info(both: NDArray[Any], info: dict[str, Any]) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Move the goal's half of an observation to `info`, under the keys that OGBench expects."""
+    rope, goal = _halves(both)
+    return rope, {**info, "goal_row": info["goal"], "goal": goal, "success": info["is_success"]}

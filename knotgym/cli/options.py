@@ -24,7 +24,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 
 from cyclopts import App, Group, Parameter
 
-from knotgym.common import InvalidInput, Occupied, choices, from_json, marked, merged, read_json
+from knotgym.common import InvalidInput, Mark, Occupied, choices, from_json, merged, read_json
 from knotgym.runs import Progress, RunOptions
 
 Config = TypeVar("Config")
@@ -376,7 +376,7 @@ def _read_settings(path: Path | None, sections: Sections) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise InvalidInput(f"--settings {path} must hold an object, got {found!r}")
     for section, kind in sections.items():
-        for field, _, text in marked(kind, found.get(section) if section else found, "typed"):
+        for field, _, text in Mark.fields(kind, found.get(section) if section else found, "typed"):
             if text is not None:
                 name = f"{section}.{field}".strip(".")
                 raise InvalidInput(

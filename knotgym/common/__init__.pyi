@@ -20,7 +20,6 @@ from .configurations import choices as choices
 from .configurations import configuration as configuration
 from .configurations import differences as differences
 from .configurations import from_json as from_json
-from .configurations import marked as marked
 from .configurations import merged as merged
 from .configurations import read_json as read_json
 from .errors import Failed as Failed
@@ -43,4 +42,3 @@ from .tables import read_tables as read_tables
 from .tables import require_stored_here as require_stored_here
 from .tables import write_tables as write_tables
 from .threads import Threads as Threads
-from .threads import cores as cores

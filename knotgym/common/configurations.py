@@ -46,7 +46,7 @@ Config = TypeVar("Config")
 
 
 class Mark(NamedTuple):
-    """What a field's value stands for, as part of its annotation; `marked` finds such fields.
+    """What a field's value stands for, as part of its annotation; `Mark.fields` finds such fields.
 
     Attributes:
         word: "states" and "policy" name files, which a run digests and never overwrites; "typed" is
@@ -56,6 +56,27 @@ class Mark(NamedTuple):
 
     word: str
     applies: Callable[[Any], bool] = lambda value: True
+
+    @staticmethod
+    def fields(
+        kind: type, values: Any, word: str, path: str = ""
+    ) -> Iterator[tuple[str, Any, Any]]:
+        """Yield the fields with a mark: path, the values beside it, and its own, which may be None.
+
+        Args:
+            kind: a configuration class.
+            values: a configuration of this class, or JSON of one, which needn't be valid.
+            word: the mark.
+            path: what comes before the names of the fields.
+        """
+        for name, hint in get_type_hints(kind, include_extras=True).items():
+            own = values.get(name) if isinstance(values, Mapping) else getattr(values, name, None)
+            for one in _members(hint):
+                if isinstance(one, Mark) and one.word == word and one.applies(own):
+                    yield f"{path}{name}", values, own
+                if dataclasses.is_dataclass(one) and isinstance(one, type) and own is not None:
+                    for each in own if isinstance(own, (list, tuple)) else [own]:
+                        yield from Mark.fields(one, each, word, f"{path}{name}.")
 
 
 _MOST_JSON = 256 << 20  # largest JSON file that is read, bytes
@@ -247,25 +268,6 @@ def _problem(error: Any) -> str:
 def _configuration_in(hint: Any) -> Any:
     """The configuration class that a field's type is or allows, such as `X | None`; else None."""
     return next((one for one in (hint, *get_args(hint)) if dataclasses.is_dataclass(one)), None)
-
-
-def marked(kind: type, values: Any, word: str, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield the fields with a mark: path, the values beside it, and its own, which may be None.
-
-    Args:
-        kind: a configuration class.
-        values: a configuration of this class, or JSON of one, which needn't be valid.
-        word: the mark.
-        path: what comes before the names of the fields.
-    """
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        own = values.get(name) if isinstance(values, Mapping) else getattr(values, name, None)
-        for one in _members(hint):
-            if isinstance(one, Mark) and one.word == word and one.applies(own):
-                yield f"{path}{name}", values, own
-            if dataclasses.is_dataclass(one) and isinstance(one, type) and own is not None:
-                for each in own if isinstance(own, (list, tuple)) else [own]:
-                    yield from marked(one, each, word, f"{path}{name}.")
 
 
 def _members(hint: Any) -> Iterator[Any]:

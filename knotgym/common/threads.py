@@ -17,25 +17,6 @@ from weakref import finalize
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
-def cores() -> int:
-    """Return how many cores this process may use: by its affinity and its container's quota.
-
-    A container's quota is in `cpu.max` of its control group (version 2) or of one above that,
-    microseconds that may be used in a period. Of a fraction of a core the whole is counted.
-    """
-    affine = hasattr(os, "sched_getaffinity")
-    found = [len(os.sched_getaffinity(0)) if affine else os.cpu_count() or 1]
-    with suppress(OSError, ValueError):
-        own = Path("/proc/self/cgroup").read_text().partition("0::/")[2].partition("\n")[0]
-        for group in (_CGROUPS / own, *(_CGROUPS / own).parents):
-            with suppress(OSError, ValueError):  # "max 100000" is no limit
-                quota, period = map(int, (group / "cpu.max").read_text().split())
-                found.append(max(1, -(-quota // period)))
-            if group == _CGROUPS:
-                break
-    return min(found)
-
-
 class Threads:
     """A pool of threads, which start when they are first needed; the caller's works as well.
 
@@ -50,9 +31,28 @@ class Threads:
 
     def __init__(self, count: int = 1) -> None:
         self.count = count
-        self._most = count or cores()
+        self._most = count or self.cores()
         self._tasks = SimpleQueue[Any]()
         self._workers = 0
+
+    @staticmethod
+    def cores() -> int:
+        """Return how many cores this process may use: by its affinity and its container's quota.
+
+        A container's quota is in `cpu.max` of its control group (version 2) or of one above that,
+        microseconds that may be used in a period. Of a fraction of a core the whole is counted.
+        """
+        affine = hasattr(os, "sched_getaffinity")
+        found = [len(os.sched_getaffinity(0)) if affine else os.cpu_count() or 1]
+        with suppress(OSError, ValueError):
+            own = Path("/proc/self/cgroup").read_text().partition("0::/")[2].partition("\n")[0]
+            for group in (_CGROUPS / own, *(_CGROUPS / own).parents):
+                with suppress(OSError, ValueError):  # "max 100000" is no limit
+                    quota, period = map(int, (group / "cpu.max").read_text().split())
+                    found.append(max(1, -(-quota // period)))
+                if group == _CGROUPS:
+                    break
+        return min(found)
 
     def spread(
         self,

@@ -91,7 +91,7 @@ class _OwnPlayer(ActionPlayer):
             function = own if self._reset_takes is None else own.act
             seen = [batch.observation(index)]
             if self._takes > 1:
-                seen += [batch.info(index), self.rngs[index]]
+                seen += [*batch.info_rows(np.array([index])), self.rngs[index]]
             with _user_code(self.name):
                 # copied at once, as the next call may return the same array
                 actions.append(copy.deepcopy(function(*seen)))

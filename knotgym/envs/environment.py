@@ -69,7 +69,7 @@ class _KnowsHorizon:
 
 
 class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
-    """Environment with one rope; see `TaskConfig` for keywords and `EpisodeBatch.info` for info."""
+    """Environment with one rope; for keywords see `TaskConfig`, for info `EpisodeBatch`."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
 
@@ -98,7 +98,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         super().reset(seed=seed)
         self.episodes.begin(np.array([0]), [self.np_random], options)
         self._show()
-        return self.episodes.observation(0), self.episodes.info(0)
+        return self.episodes.observation(0), self.episodes.info_rows(np.array([0]))[0]
 
     def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one action.
@@ -109,7 +109,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         """
         _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.act(np.asarray(action)[None], np.array([0]))
-        info = self.episodes.info(0)
+        info = self.episodes.info_rows(np.array([0]))[0]
         ended = terminated[0] or truncated[0]
         self._show("reached" if info["is_success"] else "failed" if ended else "")
         return (

@@ -346,16 +346,12 @@ class EpisodeBatch:
             partial(self._pictures, ids),
         )
 
-    def info(self, index: int) -> dict[str, Any]:
-        """Return the `info` of episode `index`, the same keys at every step; arrays are copies.
+    def info_rows(self, ids: Ids) -> list[dict[str, Any]]:
+        """Return the `info` of some episodes, the same keys at every step; arrays are copies.
 
         With `numeric_infos` every value is a NumPy array. Codes are int16 (SYMBOLS,), see
         `Observer.symbols`; chirality is int16 (SYMBOLS // 2,), one sign per crossing.
         """
-        return self.info_rows(np.array([index]))[0]
-
-    def info_rows(self, ids: Ids) -> list[dict[str, Any]]:
-        """Return the `info` of each of the episodes `ids`."""
         columns = self.infos(ids)
         if self.task.numeric_infos:
             values = [list(map(np.asarray, column)) for column in columns.values()]

@@ -118,7 +118,7 @@ class TaskConfig:
             trajectories.
         success_reward: reward on success.
         failure_reward: reward at the horizon, or beyond `tow_limit`, without success.
-        numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info`.
+        numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info_rows`.
     """
 
     task: TaskName | Annotated[tuple[TaskName, ...], Distinct]

@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
-from knotgym.common import Failed, InvalidInput, MissingExtra, cores
+from knotgym.common import Failed, InvalidInput, MissingExtra, Threads
 from knotgym.rope import CHAIN, MUJOCO, is_compiled, simulation
 from knotgym.runs.identities import versions
 from knotgym.runs.progress import Progress
@@ -82,7 +82,7 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
         with _cluster(scheduler) as remote:
             yield remote
         return
-    count = workers or cores()
+    count = workers or Threads.cores()
     if count == 1:
         yield InProcess()
         return

@@ -18,9 +18,9 @@ import numpy as np
 import knotgym
 from knotgym.common import (
     InvalidInput,
+    Mark,
     as_json,
     differences,
-    marked,
     merged,
     read_json,
     require_regular,
@@ -77,10 +77,10 @@ def identity(
     """
     found: Any = {}
     for one in (config, *also):
-        for _, _, named in marked(type(one), one, "states"):
+        for _, _, named in Mark.fields(type(one), one, "states"):
             origin = "shipped" if is_bundled(named) else "own"
             found = merged(found, {"states": {origin: resolve_states(named)}})
-        for _, owner, named in marked(type(one), one, "policy"):
+        for _, owner, named in Mark.fields(type(one), one, "policy"):
             from knotgym.control import policy_files  # here, as most runs play no named policy
 
             found = merged(found, {"policies": {named: policy_files(owner)}})

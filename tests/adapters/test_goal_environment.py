@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.adapters import GoalEnv, OGBenchEnv, goal_env
-from knotgym.adapters.goal_environment import halves
+from knotgym.adapters.goal_environment import _halves
 from knotgym.common import InvalidInput
 from knotgym.envs import KnotEnv
 
@@ -61,7 +61,7 @@ def test_the_rope_is_seen_alone(states_path: str, observation: str) -> None:
     env, whole = goal_env("tie", **settings), KnotEnv("tie", **settings)
     seen, both = env.reset(seed=5)[0], whole.reset(seed=5)[0]
     assert seen in env.observation_space
-    assert np.array_equal(seen["observation"], halves(both)[0])
+    assert np.array_equal(seen["observation"], _halves(both)[0])
     assert seen["desired_goal"][0] == 1 and seen["achieved_goal"].tolist() == [0] * 65
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from knotgym.common import threads
-from knotgym.common.threads import Threads, cores
+from knotgym.common.threads import Threads
 
 counts = pytest.mark.parametrize("count", [1, 3])
 
@@ -92,4 +92,4 @@ def test_cores_are_those_that_affinity_and_the_container_s_quota_leave(
     monkeypatch.setattr(threads, "_CGROUPS", tmp_path)
     monkeypatch.setattr(Path, "read_text", text)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
-    assert cores() == expected == Threads(0)._most
+    assert Threads.cores() == expected == Threads(0)._most

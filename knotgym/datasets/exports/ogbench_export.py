@@ -11,7 +11,7 @@ An episode of T actions takes T + 1 consecutive rows of each array:
     terminals       bool, true in the last row
 
 A name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the prefix "visual-" for
-pictures. Without the policy it is the id of the environment, see `adapters.ogbench_environment`.
+pictures. Without the policy it is the id of the environment, see `adapters.OGBenchEnv`.
 """
 
 import re

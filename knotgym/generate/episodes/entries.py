@@ -29,13 +29,13 @@ from knotgym.common import (
     Column,
     InvalidFile,
     KnotgymError,
+    Mark,
     Schema,
     Stream,
     Table,
     as_json,
     format_of,
     from_json,
-    marked,
     one_line,
     read_tables,
     sha256,
@@ -188,7 +188,7 @@ def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> 
 
 def states_digests(config: EvaluateConfig) -> dict[str, str]:
     """The digests of the sets of states, by their names; own files have one name."""
-    named = [name for _, _, name in marked(EvaluateConfig, config, "states")]
+    named = [name for _, _, name in Mark.fields(EvaluateConfig, config, "states")]
     return {
         str(name) if is_bundled(name) else "own": sha256(resolve_states(name)) for name in named
     }
