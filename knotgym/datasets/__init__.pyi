@@ -1,3 +1,4 @@
+from .all_faults import faults as faults
 from .cards import CardTable as CardTable
 from .cards import in_words as in_words
 from .cards.folder_cards import finish_images as finish_images
@@ -46,7 +47,6 @@ from .minari_form import MinariMetadata as MinariMetadata
 from .minari_form import loading_lines as loading_lines
 from .minari_form import publish as publish
 from .page import write_page as write_page
-from .state_verification import faults as faults
 from .subsets import delete as delete
 from .subsets import kept as kept
 from .subsets import select as select

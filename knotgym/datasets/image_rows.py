@@ -6,7 +6,7 @@ share. Each fault is reported as one line.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +32,6 @@ from knotgym.datasets.image_table import (
     table_of,
 )
 from knotgym.datasets.manifest import listed_faults, read_manifest
-from knotgym.datasets.state_verification import Map
 from knotgym.datasets.state_verification import row_faults as state_faults
 from knotgym.quality import UNAMBIGUOUS, Limits, Quality, grade_of
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
@@ -43,6 +42,7 @@ _CODES = STATES.only(*("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", 
 _COLOURS = ("published", "single", "gradient")
 # what foreign numbers make the renderer and NumPy raise
 _RAISED = (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error)
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
 _MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones would fill the memory
 
 

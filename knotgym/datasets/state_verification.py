@@ -1,7 +1,7 @@
 """Verify state files and the folders that `knotgym generate` writes."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,6 @@ from knotgym.datasets.episode_verification import (
     verify_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import BEADS
@@ -46,7 +45,6 @@ from knotgym.states import (
 )
 from knotgym.topology import GaussCode, pyknotid_code
 
-Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
 # in your own files quality and source may be missing, but then rows can't be verified
 _NEEDED = {c.name for c in STATES.columns if not c.optional or "/" in c.name} - {"image"}
 _BATCH = 64  # rows replayed in one simulation
@@ -97,36 +95,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
-def faults(
-    found: Located,
-    replay: Replay,
-    each: Map = map,
-    count: Count = uncounted,
-    sample: int = 0,
-) -> Iterator[str]:
-    """Yield the faults of datasets, each as soon as it is found.
-
-    Args:
-        found: what a path or an id names.
-        replay: plays episodes again.
-        each: `map` or a pool's, for files of pictures; results keep the order.
-        count: progress callback (stage, done, total).
-        sample: how many drawn episodes of each dataset to play again; 0 for all.
-    """
-    if found.pictures:
-        # imported here, because only this check needs pyarrow
-        from knotgym.datasets.image_rows import image_faults
-
-        yield from image_faults(found.pictures, each, count)
-    elif found.states and found.root.is_dir():
-        yield from _folder_faults(found.root, replay, count)
-    elif found.states:
-        yield from state_faults(read_states(found.states), count)
-    for one in () if found.pictures or found.states else found.episodes:
-        yield from verify_episodes(one, replay, count=count, sample=sample)
-
-
-def _folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Iterator[str]:
+def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.

@@ -11,7 +11,7 @@ import pytest
 
 from knotgym.common import sha256
 from knotgym.control import replay
-from knotgym.datasets.state_verification import _folder_faults, state_faults
+from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.states import States, read_states, shipped, write_states
 
 ENDS_ELSEWHERE = "replay of its start and actions does not end in qpos bit for bit"
@@ -153,10 +153,10 @@ def manifest_of(folder: Path) -> Mapping[str, Any]:
 
 
 def test_a_changed_file_and_a_missing_one_are_named(light: Path) -> None:
-    assert list(_folder_faults(light, replay)) == []
+    assert list(folder_faults(light, replay)) == []
     (light / "README.md").write_text("other")
     (light / "states.h5").unlink()
-    assert sorted(_folder_faults(light, replay)) == [
+    assert sorted(folder_faults(light, replay)) == [
         "README.md is not the file the manifest lists (SHA-256 differs)",
         f"no knotgym-states file at {light / 'states.h5'}",
         "states.h5 is missing",
@@ -166,4 +166,4 @@ def test_a_changed_file_and_a_missing_one_are_named(light: Path) -> None:
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"files": 3, "config": {}}'])
 def test_a_manifest_that_cannot_be_read_is_a_fault(light: Path, text: str) -> None:
     (light / "manifest.json").write_text(text)
-    assert next(_folder_faults(light, replay)).startswith("manifest.json can't be read: ")
+    assert next(folder_faults(light, replay)).startswith("manifest.json can't be read: ")
