@@ -18,14 +18,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import (
-    SYMBOLS,
-    EpisodeBatch,
-    KnotEnv,
-    Observer,
-    Situation,
-    TaskConfig,
-)
+from knotgym.envs import SYMBOLS, EpisodeBatch, KnotEnv, Observer, Situation, TaskConfig
 
 _TASKS = 5  # number of evaluation goals, as in OGBench
 

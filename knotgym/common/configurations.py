@@ -31,13 +31,7 @@ from typing import (
 )
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-)
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as validated_dataclass
 
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line

@@ -19,24 +19,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    InvalidInput,
-    InvalidPolicy,
-    Schema,
-    Stream,
-    Table,
-    padded,
-)
+from knotgym.common import InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.datasets import (
-    EPISODES,
-    MACROS,
-    RECORDED,
-    STEPS,
-    Episodes,
-    Shown,
-    code_sizes,
-)
+from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown, code_sizes
 from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
 
 Ids = NDArray[np.int64]

@@ -17,15 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidFile, KnotgymError, MissingFile, as_json, one_line
-from knotgym.datasets.episode_dataset import (
-    EpisodeDataset,
-    digests_of,
-    open_episodes,
-)
-from knotgym.datasets.episodes import (
-    Episodes,
-    gauss_codes,
-)
+from knotgym.datasets.episode_dataset import EpisodeDataset, digests_of, open_episodes
+from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.rope import Array, Rope

@@ -27,12 +27,7 @@ from knotgym.common import (
     read_json,
     require_stored_here,
 )
-from knotgym.datasets.episodes import (
-    EPISODES,
-    STEPS,
-    Episodes,
-    Shown,
-)
+from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, Shown
 from knotgym.envs import TaskConfig
 from knotgym.rope import nearest_beads
 

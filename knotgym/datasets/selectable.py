@@ -14,18 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    atomic_write,
-    require_output,
-    sha256,
-)
-from knotgym.datasets.episode_dataset import (
-    EpisodeDataset,
-    open_episodes,
-    write_episodes,
-)
+from knotgym.common import InvalidFile, InvalidInput, atomic_write, require_output, sha256
+from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import (
     arrow,

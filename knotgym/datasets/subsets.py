@@ -17,13 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    InvalidInput,
-    MissingExtra,
-    Stream,
-    atomic_writes,
-    one_line,
-)
+from knotgym.common import InvalidInput, MissingExtra, Stream, atomic_writes, one_line
 from knotgym.datasets.selectable import Rows, opened, require_file, write_rows
 
 _RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")

@@ -12,13 +12,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    InvalidInput,
-    MissingExtra,
-    Stream,
-    atomic_write,
-    require_output,
-)
+from knotgym.common import InvalidInput, MissingExtra, Stream, atomic_write, require_output
 from knotgym.loaders.data_stream import DataStream, Pictured, Played
 from knotgym.loaders.transitions import Opening, Transitions
 

@@ -23,14 +23,7 @@ from urllib.parse import urlsplit
 from pydantic import BeforeValidator, Field, PositiveFloat, PositiveInt
 
 import knotgym
-from knotgym.common import (
-    Failed,
-    InvalidInput,
-    Mark,
-    MissingExtra,
-    configuration,
-    one_line,
-)
+from knotgym.common import Failed, InvalidInput, Mark, MissingExtra, configuration, one_line
 
 KEY = "OPENAI_API_KEY"
 PUBLIC = "https://api.openai.com/v1"

@@ -9,13 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.common.atomic_files import (
-    atomic_write,
-    copy_file,
-    remove,
-    require_output,
-    sha256,
-)
+from knotgym.common.atomic_files import atomic_write, copy_file, remove, require_output, sha256
 from knotgym.common.errors import Occupied
 
 

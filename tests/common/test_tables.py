@@ -13,14 +13,7 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
-from knotgym.common.tables import (
-    Column,
-    Schema,
-    Table,
-    format_of,
-    read_tables,
-    write_tables,
-)
+from knotgym.common.tables import Column, Schema, Table, format_of, read_tables, write_tables
 
 SCHEMA = Schema(
     "rows",

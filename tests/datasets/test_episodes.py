@@ -5,13 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_episodes import code_rows, episodes, sign_rows
 
-from knotgym.datasets.episodes import (
-    RECORDED,
-    Episodes,
-    code_sizes,
-    fitted,
-    gauss_codes,
-)
+from knotgym.datasets.episodes import RECORDED, Episodes, code_sizes, fitted, gauss_codes
 from knotgym.topology import GaussCode
 
 CODES = ["", "1+a,1-a", "1+a,2-c,2+c,1-a"]

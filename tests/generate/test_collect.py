@@ -10,14 +10,7 @@ import pytest
 
 from knotgym.common import InvalidInput, Stream, sha256
 from knotgym.control import PolicyConfig, PullPlannerConfig, verify
-from knotgym.datasets import (
-    columns_of,
-    digests_of,
-    merge,
-    open_episodes,
-    select,
-    write_episodes,
-)
+from knotgym.datasets import columns_of, digests_of, merge, open_episodes, select, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import collect as collecting
 from knotgym.generate.episodes.collect import _distinct_id, blocks, collect, run_facts

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import MissingExtra
-from knotgym.rendering.video import (
-    FRAMES_PER_SECOND,
-    OUTCOMES,
-    Film,
-    _film_frame,
-)
+from knotgym.rendering.video import FRAMES_PER_SECOND, OUTCOMES, Film, _film_frame
 from knotgym.rope import Rope
 
 from ..conftest import curled

@@ -7,13 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control import (
-    Policy,
-    PolicyConfig,
-    make_policy,
-    rollouts,
-    verify,
-)
+from knotgym.control import Policy, PolicyConfig, make_policy, rollouts, verify
 from knotgym.datasets import Episodes, write_episodes
 from knotgym.envs import EpisodeBatch, KnotEnv, TaskConfig
 from knotgym.rope.actions import TowBound

@@ -12,13 +12,7 @@ from numba import njit
 from knotgym.common import InvalidInput
 from knotgym.states import read_states, shipped
 from knotgym.topology import crossing_kernel
-from knotgym.topology.crossings import (
-    Crossings,
-    find_crossings,
-    label,
-    label_many,
-    same_spot,
-)
+from knotgym.topology.crossings import Crossings, find_crossings, label, label_many, same_spot
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
 

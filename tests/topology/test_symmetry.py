@@ -12,11 +12,7 @@ from knotgym.rope import Rope, RopeConfig
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import (
-    Symmetry,
-    canonical,
-    images,
-)
+from knotgym.topology.symmetry import Symmetry, canonical, images
 
 BEADS = RopeConfig().beads
 CODES = [

@@ -23,12 +23,7 @@ import numpy as np
 
 from knotgym.control.planning.batched_search import Report, Search, try_pass
 from knotgym.control.planning.moves import Moves
-from knotgym.control.planning.sights import (
-    IMAGES,
-    Diagram,
-    Sight,
-    first_goal,
-)
+from knotgym.control.planning.sights import IMAGES, Diagram, Sight, first_goal
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass, TowBound
 from knotgym.states import CODE_SPLITS

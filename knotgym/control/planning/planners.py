@@ -23,12 +23,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
 from knotgym.control.planning.batched_search import BatchedSearch, Search
-from knotgym.control.planning.passes import (
-    PassPlan,
-    PassSearch,
-    PassValues,
-    TriedPass,
-)
+from knotgym.control.planning.passes import PassPlan, PassSearch, PassValues, TriedPass
 from knotgym.control.planning.pulls import PullPlan, PullSearch
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.sampler import Player, Pulls

@@ -27,13 +27,7 @@ from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES, Quality
 from knotgym.rendering import APPEARANCES
-from knotgym.states import (
-    IMAGE_SPLITS,
-    STATE_SPLITS,
-    States,
-    read_states,
-    source_of,
-)
+from knotgym.states import IMAGE_SPLITS, STATE_SPLITS, States, read_states, source_of
 from knotgym.topology import GaussCode
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")

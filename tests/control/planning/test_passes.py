@@ -3,12 +3,7 @@ import pytest
 
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
-from knotgym.control.planning.passes import (
-    ActOut,
-    PassPlan,
-    PassSearch,
-    PassValues,
-)
+from knotgym.control.planning.passes import ActOut, PassPlan, PassSearch, PassValues
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass

@@ -7,12 +7,7 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.chain_simulation import (
-    _WEIGHT,
-    ChainSimulation,
-    _settled,
-    physics_of,
-)
+from knotgym.rope.chain.chain_simulation import _WEIGHT, ChainSimulation, _settled, physics_of
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
 from knotgym.rope.closed_curves import clearance

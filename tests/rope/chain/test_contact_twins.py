@@ -16,14 +16,7 @@ from knotgym.rope.chain.contact import (
     push_apart,
 )
 from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents
-from knotgym.rope.chain.layout import (
-    EDGE_I,
-    EDGE_J,
-    GAP,
-    NORMAL,
-    ON_I,
-    ON_J,
-)
+from knotgym.rope.chain.layout import EDGE_I, EDGE_J, GAP, NORMAL, ON_I, ON_J
 from knotgym.rope.chain.passage import LEAP, judge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.model import Rope
