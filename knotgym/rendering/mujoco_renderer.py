@@ -76,10 +76,10 @@ class _Painter:
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._model, self._side = model, side
-        # room for most ropes and the floor; `paint` makes more for longer ones
+        # room for most ropes and the floor; a call makes more for longer ones
         self._scene = _stage(model, 256)
 
-    def paint(
+    def __call__(
         self, points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
     ) -> NDArray[np.uint8]:
         """Paint a rope on the canvas.
@@ -150,7 +150,7 @@ class _Painter:
             camera.frustum_near = NEAR
             camera.frustum_far = height - float(points[:, 2].min()) + _MARGIN
 
-    def close(self) -> None:
+    def _free(self) -> None:
         """Free the context; may be called twice."""
         if self._context is not None:
             self._gl.make_current()
@@ -184,19 +184,19 @@ def draw(
         _painters[key] = _Painter(side)
         # registered after the first context, so that it runs before the backend's own exit handler
         if not _processes:
-            atexit.register(close)
+            atexit.register(_close)
         _processes.add(process)
-    picture = _painters[key].paint(points, colours, config)
+    picture = _painters[key](points, colours, config)
     # halving twice is three times as fast as one reduction by four
     for shrunk in (2 * config.size, config.size):
         picture = np.asarray(cv2.resize(picture, (shrunk, shrunk), interpolation=cv2.INTER_AREA))
     return picture
 
 
-def close() -> None:
+def _close() -> None:
     """Free the contexts that this thread of this process has created."""
     for key in [key for key in _painters if key[:2] == (os.getpid(), threading.get_ident())]:
-        _painters.pop(key).close()
+        _painters.pop(key)._free()
 
 
 def _stage(model: mujoco.MjModel, geoms: int) -> mujoco.MjvScene:

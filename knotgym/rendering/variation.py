@@ -73,7 +73,7 @@ class Appearance:
         shared = "size", "turn", "zoom", "width", "background"
         return PictureConfig(**{name: getattr(self, name) for name in shared})
 
-    def bead_colours(self, beads: int) -> NDArray[np.uint8]:
+    def _bead_colours(self, beads: int) -> NDArray[np.uint8]:
         """Return the RGB of every bead, uint8 (beads, 3); the base bead is white."""
         if self.colours == "published":
             return bead_colours(beads)
@@ -137,7 +137,7 @@ class Drawer:
 
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
         """Draw a rope: uint8 (size, size, 3), RGB; the same arguments give the same bytes."""
-        colours = look.bead_colours(len(points))
+        colours = look._bead_colours(len(points))
         return _through_lens(draw(points, look.picture(), colours=colours), look)
 
     def drawn(self, points: Array, look: Any) -> Drawn:

@@ -113,7 +113,7 @@ class MacroAction:
         heading = math.atan2(offset[1], offset[0]) + turn
         # relative to the strand to pass, not to the bead
         height = points[move.target, 2] + move.side * LIFT
-        waypoints = _waypoints(points, move.bead, heading, height, min(RISE, far), far + beyond)
+        waypoints = _waypoints(points, move.bead, heading, height, far, beyond)
         return cls(move.bead, waypoints, move.target, move.side)
 
 
@@ -164,12 +164,12 @@ def _aside(points: Array, kind: str, bead: int, side: int, rng: np.random.Genera
         height = height + side * LIFT
         heading = rng.uniform(-np.pi, np.pi)
     far = rng.uniform(*_DISTANCE)
-    waypoints = _waypoints(points, bead, heading, height, min(RISE, far), far)
+    waypoints = _waypoints(points, bead, heading, height, far)
     return MacroAction(bead, waypoints, side=side)
 
 
 def _waypoints(
-    points: Array, bead: int, heading: float, height: float, rise: float, reach: float
+    points: Array, bead: int, heading: float, height: float, far: float, beyond: float = 0.0
 ) -> Array:
     """Waypoints of a straight walk, float64 (3, 3): up or down, across, and back to rope level.
 
@@ -184,9 +184,9 @@ def _waypoints(
         bead: the bead to lead.
         heading: direction of the walk, radians from the x axis.
         height: z of the first two waypoints, metres.
-        rise: horizontal distance to the first, metres.
-        reach: horizontal distance to the other two, metres.
+        far, beyond: horizontal distance to what is passed, and from there to the other two, metres.
     """
+    rise, reach = min(RISE, far), far + beyond
     # plain floats: this runs for every candidate, and NumPy is slow on single numbers
     x, y, _ = points[bead].tolist()
     ahead_x, ahead_y = float(np.cos(heading)), float(np.sin(heading))

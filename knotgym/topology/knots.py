@@ -197,12 +197,10 @@ def diagram_of(knot: str) -> GaussCode:
     >>> diagram_of("m3_1").chiral
     '1+a,2-a,3+a,1-a,2+a,3-a'
     """
-    codes = []
-    for mirror, name in _summands(knot):
-        if name != UNKNOT:
-            code = _prime_diagrams()[name]
-            codes.append(code.switched() if mirror else code)
-    return connected_sum(codes)
+    found = [
+        (mirror, _prime_diagrams()[name]) for mirror, name in _summands(knot) if name != UNKNOT
+    ]
+    return connected_sum([code.switched() if mirror else code for mirror, code in found])
 
 
 def type_of(knot: str) -> str:
@@ -307,11 +305,9 @@ def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
         # The first summand keeps its hand: mirroring all of them mirrors the sum, and the
         # polynomial is taken up to that.
         for mirrors in product((False, True), repeat=len(names) - 1):
-            hands = [
-                code.switched() if mirror else code
-                for code, mirror in zip(diagrams, (False, *mirrors), strict=True)
-            ]
-            found[_polynomials(connected_sum(hands))][_composite_type(list(names))] = None
+            pairs = zip(diagrams, (False, *mirrors), strict=True)
+            sum_ = connected_sum([code.switched() if mirror else code for code, mirror in pairs])
+            found[_polynomials(sum_)][_composite_type(list(names))] = None
     return {polynomials: tuple(types) for polynomials, types in found.items()}
 
 

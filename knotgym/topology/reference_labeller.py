@@ -10,11 +10,11 @@ its Cython build does, which takes a twentieth of the time.
 Source: A. J. Taylor, "pyknotid knot identification toolkit", https://github.com/SPOCKnots/pyknotid
 """
 
-import contextlib
 import io
-from collections.abc import Iterator
+from contextlib import redirect_stdout
 from functools import cache
 from typing import Any
+from unittest import mock
 
 import numba
 import numpy as np
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from knotgym.common import InvalidInput
 from knotgym.topology.gauss import GaussCode
 
-_ALIASES: dict[str, type] = {"float": float, "int": int, "complex": complex}
+_ALIASES: dict[str, Any] = {"float": float, "int": int, "complex": complex}
 _BEAD = 10.0  # mean distance of beads after scaling; pyknotid makes mistakes below 0.1
 _EXPECTED = "expected (beads, 3) finite numbers, at least 3 beads, for pyknotid"
 
@@ -45,7 +45,8 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
     if not np.isfinite(bead) or bead == 0.0:
         raise InvalidInput(f"no closed rope: the mean distance of beads is {bead}; {_EXPECTED}")
     scaled = (rope - rope.mean(axis=0)) * (_BEAD / bead)
-    with _lent_aliases(), contextlib.redirect_stdout(io.StringIO()):
+    # lent while it runs: names that NumPy removed
+    with mock.patch.multiple(np, create=True, **_ALIASES), redirect_stdout(io.StringIO()):
         text = str(_space_curve()(scaled, verbose=False).gauss_code(include_closure=True))
     return GaussCode.parse("" if text.startswith("----") else text)
 
@@ -59,17 +60,3 @@ def _space_curve() -> Any:
     for name in ("cross_product", "sign", "do_vectors_intersect", "find_crossings"):
         setattr(helpers, name, numba.njit(cache=True)(getattr(helpers, name)))
     return SpaceCurve
-
-
-@contextlib.contextmanager
-def _lent_aliases() -> Iterator[None]:
-    """Define the removed NumPy aliases that pyknotid uses, and delete them again at the end."""
-    # looked up in the module's own names, as NumPy warns of, or refuses, one that it removed
-    missing = [name for name in _ALIASES if name not in vars(np)]
-    for name in missing:
-        setattr(np, name, _ALIASES[name])
-    try:
-        yield
-    finally:
-        for name in missing:
-            delattr(np, name)

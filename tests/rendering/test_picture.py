@@ -365,13 +365,13 @@ def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
 
     def work() -> None:
         drawn.append(draw(ring(), config))
-        picture_mujoco.close()
+        picture_mujoco._close()
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    picture_mujoco.close()
-    picture_mujoco.close()
+    picture_mujoco._close()
+    picture_mujoco._close()
     drawn.append(draw(ring(), config))
     assert len(drawn) == 2 and all(np.array_equal(first, image) for image in drawn)
 

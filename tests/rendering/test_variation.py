@@ -92,7 +92,7 @@ def test_a_turned_camera_is_a_turned_rope(points: Array) -> None:
 def test_the_base_bead_is_white_whatever_the_colours() -> None:
     for kind, colours in (("published", 99), ("single", 1), ("gradient", 99)):
         look = Appearance(colours=kind, first=(200, 150, 160), last=(30, 40, 180))
-        base, *others = look.bead_colours(100).tolist()
+        base, *others = look._bead_colours(100).tolist()
         assert base == [255, 255, 255] and len({*map(tuple, others)}) == colours
 
 
@@ -105,4 +105,4 @@ def test_a_gradient_darkens_along_the_walk(points: Array) -> None:
     assert drawn
     for look in drawn:
         assert sum(look.first) > sum(look.last) + 50
-        assert (np.diff(look.bead_colours(100)[1:].sum(axis=1).astype(int)) <= 1).all()
+        assert (np.diff(look._bead_colours(100)[1:].sum(axis=1).astype(int)) <= 1).all()
