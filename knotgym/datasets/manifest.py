@@ -96,7 +96,7 @@ def machine() -> dict[str, str]:
     try:
         config: Any = np.show_config(mode="dicts")
         blas = "{name} {version}".format(**config["Build Dependencies"]["blas"])
-        instructions = " ".join(config["SIMD Extensions"]["found"])
+        instructions = " ".join(config["SIMD Extensions"].get("found", []))
     except (TypeError, KeyError):  # another NumPy version reports it differently
         blas = instructions = "unknown"
     return {

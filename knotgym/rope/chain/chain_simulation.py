@@ -198,16 +198,48 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
         qpos: float64 (ropes, nq).
         points: float64 (ropes, beads, 3), metres.
     """
-    # Beads are rows, x along the bead: column 1 of a bead's matrix is its y axis.
-    # Twist is in qpos alone and not in the vertices, so MuJoCo itself says how each bead is turned.
-    data, sides = mujoco.MjData(rope.model), np.empty_like(points)
-    for row, positions in enumerate(qpos):
-        data.qpos[:] = positions
-        mujoco.mj_kinematics(rope.model, data)
-        sides[row] = data.xmat[rope.bodies].reshape(-1, 3, 3)[:, :, 1]
+    # Twist is in qpos alone and not in the vertices, so MuJoCo's kinematics say how each bead is
+    # turned. They are written out: MuJoCo itself rounds products of quaternions by processor.
+    model, at = rope.model, np.zeros((len(qpos), rope.model.nbody, 4))
+    own = model.jnt_qposadr + np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE, 3, 0)
+    turns = _unit(qpos[:, own[:, None] + np.arange(4)])  # of joint k, the one of body k + 1
+    depth = np.zeros(model.nbody, dtype=np.int64)
+    for body in range(1, model.nbody):
+        depth[body] = depth[model.body_parentid[body]] + 1
+    for level in range(1, depth.max() + 1):
+        bodies = np.flatnonzero(depth == level)
+        at[:, bodies] = turns[:, bodies - 1]
+        if level > 1:  # the roots, of level 1, are free
+            parents = at[:, model.body_parentid[bodies]]
+            beside = _product(parents, model.body_quat[bodies])
+            at[:, bodies] = _unit(_product(beside, at[:, bodies]))
+    w, x, y, z = np.moveaxis(at[:, rope.bodies], 2, 0)
+    # x is along the bead, so its first axis across is column 1 of its matrix
+    sides = np.stack([2 * (x * y - w * z), (w * w + y * y) - (x * x + z * z), 2 * (y * z + w * x)])
+    sides = np.moveaxis(sides, 0, 2)
     along = directions(points)
     sides -= (sides * along).sum(axis=2, keepdims=True) * along
     return sides / np.linalg.norm(sides, axis=2, keepdims=True)
+
+
+def _product(one: Array, other: Array) -> Array:
+    """Products of quaternions (..., 4), w first; terms are added in pairs, as MuJoCo does."""
+    a, b, c, d = np.moveaxis(one, -1, 0)
+    w, x, y, z = np.moveaxis(other, -1, 0)
+    terms = [
+        (a * w - b * x) + (-c * y - d * z),
+        (a * x + b * w) + (c * z - d * y),
+        (a * y - b * z) + (c * w + d * x),
+        (a * z + b * y) + (-c * x + d * w),
+    ]
+    return np.stack(terms, axis=-1)
+
+
+def _unit(quaternions: Array) -> Array:
+    """Quaternions (..., 4) of length 1; those that have it to 1e-15 stay, as in MuJoCo."""
+    a, b, c, d = np.moveaxis(quaternions, -1, 0)
+    norm = np.sqrt((a * a + b * b) + (c * c + d * d))[..., None]
+    return np.where(np.abs(norm - 1) > 1e-15, quaternions * (1 / norm), quaternions)
 
 
 def _quaternions(axes: Array) -> Array:
