@@ -19,8 +19,8 @@ from knotgym.rope.chain.chain_simulation import (
 )
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
-from knotgym.rope.closed_curves import clearance
-from knotgym.rope.model import Rope, RopeConfig, directions
+from knotgym.rope.closed_curves import clearance, directions
+from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import UNKNOT, find_crossings, knot_type, label, label_many, shows
