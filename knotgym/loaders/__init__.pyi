@@ -1,10 +1,10 @@
 from .converters import arrays as arrays
+from .converters import images as images
 from .converters import statistics as statistics
 from .converters import stream as stream
 from .converters import to_d3rlpy as to_d3rlpy
 from .converters import to_tensordict as to_tensordict
 from .converters import torch_dataset as torch_dataset
-from .perception import images as images
 from .row_policy import RowPolicy as RowPolicy
 from .row_policy import as_policy as as_policy
 from .sequences import Sequences as Sequences

@@ -127,7 +127,7 @@ def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:
     Raises:
         MissingExtra: torch isn't installed.
     """
-    import_client("torch")
+    _import_client("torch")
     from knotgym.loaders.pytorch import TransitionDataset
 
     return TransitionDataset(Transitions(dataset, **opening))
@@ -152,7 +152,7 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
         MissingExtra: d3rlpy isn't installed.
         InvalidInput: there is a window, or the action is neither "pull" nor "decision".
     """
-    d3rlpy = import_client("d3rlpy")
+    d3rlpy = _import_client("d3rlpy")
     if opening.get("window") is not None:
         raise InvalidInput("d3rlpy has windows of its own: leave out window, use its pickers")
     transitions = Transitions(dataset, **opening)
@@ -209,7 +209,7 @@ def to_tensordict(
         MissingExtra: tensordict or torch isn't installed.
         Occupied: the folder exists.
     """
-    tensordict = import_client("tensordict")
+    tensordict = _import_client("tensordict")
     transitions = Transitions(dataset, **opening)
     if folder is None:
         return _tensors(tensordict, transitions, _rows(transitions), slice(None))
@@ -275,7 +275,7 @@ def _tensors(
     )
 
 
-def import_client(module: str) -> Any:
+def _import_client(module: str) -> Any:
     """Import an optional library; raise MissingExtra with its install command if it is missing.
 
     A checkout of knotgym has a link `datasets` at its top, which would shadow Hugging Face's
@@ -328,3 +328,44 @@ def stream(
     from knotgym.loaders.pytorch import TorchStream
 
     return TorchStream(config, seed, batch, block, shuffled, repeats, opening)
+
+
+def images(
+    path: str | os.PathLike[str],
+    split: str | None = None,
+    kind: str = "torch",
+    *,
+    max_nx: int | None = None,
+) -> Any:
+    """Load a perception table written by `knotgym images`.
+
+    Args:
+        path: the folder, or one shard.
+        split: "train", "test", "test-code" or "test-nx"; None for all rows.
+        kind: "torch" for a `knotgym.loaders.pytorch.PictureDataset`, which any number of
+            DataLoader workers can share; "huggingface" for a `datasets.Dataset`, or a `DatasetDict`
+            of all splits if split is None.
+        max_nx: pad labels to this number of crossings (torch only); None for the largest in the
+            table.
+
+    Raises:
+        MissingExtra: torch or Hugging Face's datasets isn't installed.
+        InvalidInput: kind is neither of the two.
+        InvalidFile: the table has no such split, or a row has more than max_nx crossings.
+        MissingFile: nothing exists at path.
+    """
+    if kind == "torch":
+        _import_client("torch")
+        from knotgym.loaders.pytorch import PictureDataset
+
+        return PictureDataset(path, split, max_nx)
+    if kind != "huggingface":
+        raise InvalidInput(f"kind must be one of torch, huggingface, got {kind!r}")
+    from knotgym.datasets import shards
+
+    library = _import_client("datasets")
+    files: dict[str, list[str]] = {}
+    for shard in shards(path, split):
+        files.setdefault(shard.name.partition("-")[0], []).append(str(shard))
+    wanted = None if split is None else next(iter(files))
+    return library.load_dataset("parquet", data_files=files, split=wanted)

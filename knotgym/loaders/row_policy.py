@@ -92,19 +92,10 @@ def _function_of(model: Any) -> Callable[[Any], Any]:
     torch: Any = sys.modules.get("torch")
     if torch is not None and isinstance(model, torch.nn.Module):
         network = model.eval()
-
-        def of_arrays(observations: NDArray[Any]) -> Any:
-            with torch.inference_mode():
-                return network(torch.from_numpy(observations)).numpy()
-
-        return of_arrays
+        return torch.inference_mode()(lambda seen: network(torch.from_numpy(seen)).numpy())
     if hasattr(model, "get_inputs") and hasattr(model, "run"):
         name = model.get_inputs()[0].name
-
-        def of_session(observations: NDArray[Any]) -> Any:
-            return model.run(None, {name: observations})[0]
-
-        return of_session
+        return lambda seen: model.run(None, {name: seen})[0]
     if not callable(model):
         raise InvalidPolicy(
             "a model must be a function of observations, such as model.predict, a torch module or"

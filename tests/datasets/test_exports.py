@@ -318,9 +318,3 @@ def test_ogbench_reads_its_files_and_makes_their_environment(tmp_path: Path) -> 
         assert train["observations"][0].shape == env.reset()[0].shape
         seen, info = env.reset(options={"task_id": 5, "render_goal": True})
         assert info["goal"].shape == seen.shape and "success" in env.step(train["actions"][0])[4]
-
-
-def test_a_file_by_itself_is_no_minari_dataset(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="is not a Minari dataset; convert it"):
-        export(str(TINY["random"]), tmp_path / "out", "minari", replay)
-    assert not list(tmp_path.iterdir())

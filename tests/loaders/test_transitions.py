@@ -75,24 +75,17 @@ def test_arrays_are_aligned(
         np.testing.assert_array_equal(held[name], made.steps[column][BEFORE])
 
 
-def test_a_batch_is_rows_of_the_arrays(path: Path) -> None:
+def test_a_batch_is_rows_of_the_arrays_or_halves_of_them(made: Episodes, path: Path) -> None:
     held, opened = arrays(path), Transitions(path)
     for name, column in opened.batch([4, -1, 0]).items():
         np.testing.assert_array_equal(column, held[name][[4, N - 1, 0]])
     for wrong in ([[1]], [N], [-N - 1]):
         with pytest.raises(IndexError):
             opened.batch(wrong)
-
-
-def test_apart_gives_halves(made: Episodes, path: Path) -> None:
-    batch = Transitions(path).batch([4, 0], apart=True)
-    rows = BEFORE[[4, 0]]
-    np.testing.assert_array_equal(
-        batch["observations"], made.steps["observation"][rows].reshape(2, -1)
-    )
-    np.testing.assert_array_equal(
-        batch["goals"], made.episodes["goal_points"][OWNERS[[4, 0]]].reshape(2, -1)
-    )
+    halves, goals = opened.batch([4, 0], apart=True), made.episodes["goal_points"][OWNERS[[4, 0]]]
+    seen = made.steps["observation"][BEFORE[[4, 0]]]
+    np.testing.assert_array_equal(halves["observations"], seen.reshape(2, -1))
+    np.testing.assert_array_equal(halves["goals"], goals.reshape(2, -1))
 
 
 def test_hindsight_cuts_at_every_code_that_was_reached(made: Episodes, path: Path) -> None:
@@ -257,12 +250,11 @@ def test_a_reward_that_changes_and_keeps_what_it_is_given_changes_no_column() ->
     np.testing.assert_array_equal(own["goal_points"], before[1])
 
 
-def test_a_recording_is_refused(tmp_path: Path, made: Episodes) -> None:
+def test_an_empty_dataset_loads_empty_and_a_recording_is_refused(
+    tmp_path: Path, made: Episodes
+) -> None:
     with pytest.raises(InvalidInput, match="recording"):
         arrays(written(tmp_path / "r.h5", made.recording()))
-
-
-def test_an_empty_dataset_loads_empty(tmp_path: Path, made: Episodes) -> None:
     path = written(tmp_path / "a.h5", made.select([]))
     assert {name: len(column) for name, column in arrays(path).items()} == dict.fromkeys(
         ("observations", "actions", "rewards", "next_observations", "terminals", "timeouts"), 0
@@ -328,7 +320,7 @@ def test_a_tensordict_holds_every_transition_in_memory_or_mapped(
 
 @clients
 @needs("d3rlpy")
-def test_d3rlpy_holds_every_transition(path: Path) -> None:
+def test_d3rlpy_holds_every_transition_and_pictures_channels_first(path: Path) -> None:
     buffer = to_d3rlpy(path)
     held, row = arrays(path), 0
     for episode, length in zip(buffer.episodes, LENGTHS, strict=True):
@@ -337,11 +329,6 @@ def test_d3rlpy_holds_every_transition(path: Path) -> None:
             episode.observations[:length], held["observations"][row : row + length]
         )
         row += length
-
-
-@clients
-@needs("d3rlpy")
-def test_d3rlpy_pictures_are_channels_first() -> None:
     buffer = to_d3rlpy(TINY["expert"], observation="pixels")
     assert buffer.episodes[0].observations.shape[1:] == (3, 32, 64)
     with pytest.raises(InvalidInput, match="use action 'pull'"):
