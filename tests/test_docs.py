@@ -43,11 +43,7 @@ from .scripts import ROOT
 from .small_job import knotgym as knotgym_command
 
 DOCS = ROOT / "docs"
-PAGES = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *sorted(DOCS.rglob("*.md")),
-]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 MOST_PAGES = 33  # of the site; what few need is in notes/
 LOOK_UPS = {
     "reward",
@@ -391,8 +387,7 @@ def test_the_citation_has_the_version_of_the_package() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(one, marks=[pytest.mark.thorough] * (one == "bench")) for one in SETS],
+    "name", [pytest.param(one, marks=[pytest.mark.thorough] * (one == "bench")) for one in SETS]
 )
 def test_what_train_and_test_share_is_as_computed(name: str) -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]

@@ -152,8 +152,7 @@ for _row in (
     PolicyFamily(form="random", make=lambda config: SimplePolicy("random", RandomPlayer)),
     PolicyFamily(form="constant", make=_constant),
     PolicyFamily(
-        form="scripted",
-        make=lambda config: SimplePolicy("scripted", ScriptedPlayer, chooses_pulls),
+        form="scripted", make=lambda config: SimplePolicy("scripted", ScriptedPlayer, chooses_pulls)
     ),
     _planned("expert", PassPlayer),
     _planned("noisy", NoisyPlayer),

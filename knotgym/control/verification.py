@@ -41,10 +41,7 @@ def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
 
 
 def dataset_faults(
-    source: str | os.PathLike[str],
-    each: Map = map,
-    count: Count = lambda *_: None,
-    sample: int = 0,
+    source: str | os.PathLike[str], each: Map = map, count: Count = lambda *_: None, sample: int = 0
 ) -> Iterator[str]:
     """Yield the faults that `verify` lists, each as soon as it is found.
 

@@ -10,11 +10,7 @@ from knotgym.states import read_states
 
 
 def faults(
-    found: Located,
-    replay: Replay,
-    each: Map = map,
-    count: Count = uncounted,
-    sample: int = 0,
+    found: Located, replay: Replay, each: Map = map, count: Count = uncounted, sample: int = 0
 ) -> Iterator[str]:
     """Yield the faults of datasets, each as soon as it is found.
 

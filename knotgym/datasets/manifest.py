@@ -57,10 +57,7 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def write_manifest(
-    folder: Path,
-    format: str,
-    request: Mapping[str, Any],
-    report: Mapping[str, Any],
+    folder: Path, format: str, request: Mapping[str, Any], report: Mapping[str, Any]
 ) -> None:
     """Write `manifest.json` into a folder, with the checksum of every other file in it.
 

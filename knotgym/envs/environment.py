@@ -74,10 +74,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
 
     def __init__(
-        self,
-        task: str | Sequence[str],
-        render_mode: str | None = "rgb_array",
-        **settings: Any,
+        self, task: str | Sequence[str], render_mode: str | None = "rgb_array", **settings: Any
     ) -> None:
         self.config = TaskConfig.of(task, settings)
         warn_of_compilation(self.config.engine)

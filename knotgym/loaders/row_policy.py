@@ -60,10 +60,7 @@ class RowPolicy:
 
 
 def as_policy(
-    model: Any,
-    action: str = "decision",
-    frame: str = "canonical",
-    observation: str = "marked",
+    model: Any, action: str = "decision", frame: str = "canonical", observation: str = "marked"
 ) -> RowPolicy:
     """Make a policy of a model that was learned from `arrays` or another loader.
 

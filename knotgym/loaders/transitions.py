@@ -378,11 +378,7 @@ class Transitions:
         return np.searchsorted(self.starts, rows, side="right") - 1
 
     def batch(
-        self,
-        rows: ArrayLike,
-        *,
-        apart: bool = False,
-        rng: np.random.Generator | None = None,
+        self, rows: ArrayLike, *, apart: bool = False, rng: np.random.Generator | None = None
     ) -> dict[str, Any]:
         """Return n transitions, such as a random batch.
 

@@ -93,9 +93,7 @@ def line(transcript: Mapping[str, Any]) -> str:
     return json.dumps(whole, ensure_ascii=True, allow_nan=False) + "\n"
 
 
-def show_transcripts(
-    named: str | Path,
-) -> tuple[dict[str, Any], list[tuple[str, ...]]] | None:
+def show_transcripts(named: str | Path) -> tuple[dict[str, Any], list[tuple[str, ...]]] | None:
     """Return facts by name and a table, its head first, of the transcripts of a file or a run.
 
     Returns:

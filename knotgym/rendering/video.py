@@ -29,10 +29,7 @@ OUTCOMES = {"reached": (52, 211, 153), "failed": (251, 113, 133)}  # RGB
 
 
 # suffix -> encoder of FFmpeg and its options
-_CODECS = {
-    ".mp4": ("libx264", {"crf": "18"}),
-    ".webm": ("libvpx-vp9", {"crf": "18", "b": "0"}),
-}
+_CODECS = {".mp4": ("libx264", {"crf": "18"}), ".webm": ("libvpx-vp9", {"crf": "18", "b": "0"})}
 
 
 def _captioned(

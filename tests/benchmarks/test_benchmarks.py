@@ -132,11 +132,7 @@ def test_a_little_play_makes_a_table_like_the_one_that_ships(table: str, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("speed", ("--ropes", 4, "--repeats", 1)),
-        ("distance", ("--states", 1)),
-    ],
+    ("command", "words"), [("speed", ("--ropes", 4, "--repeats", 1)), ("distance", ("--states", 1))]
 )
 def test_the_chain_engine_is_measured_beside_mujocos(
     command: str, words: tuple[object, ...], tmp_path: Path

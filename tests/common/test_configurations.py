@@ -18,13 +18,7 @@ from knotgym.quality import Limits
 from knotgym.rendering import AppearanceConfig, PictureConfig
 from knotgym.rope import RopeConfig
 
-CONFIGURATIONS = (
-    AppearanceConfig,
-    DrawingConfig,
-    Limits,
-    PictureConfig,
-    RopeConfig,
-)
+CONFIGURATIONS = (AppearanceConfig, DrawingConfig, Limits, PictureConfig, RopeConfig)
 
 
 @configuration

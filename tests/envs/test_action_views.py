@@ -69,9 +69,7 @@ def test_a_bead_action_pulls_that_bead(task: TaskConfig) -> None:
 
 
 @pytest.mark.thorough
-def test_a_macro_action_ends_at_its_last_waypoint_or_after_ten_pulls(
-    task: TaskConfig,
-) -> None:
+def test_a_macro_action_ends_at_its_last_waypoint_or_after_ten_pulls(task: TaskConfig) -> None:
     env = KnotEnv("tie", **settings(task, action="macro", horizon=500))
     env.action_space.seed(0)
     _, info = env.reset(seed=0)

@@ -320,11 +320,7 @@ def only_nx3(states: States, tmp_path: Path) -> str:
 
 
 def test_plain_loops_that_the_file_lacks_are_those_that_ship(
-    make: Make,
-    states: States,
-    states_path: str,
-    only_nx3: str,
-    monkeypatch: pytest.MonkeyPatch,
+    make: Make, states: States, states_path: str, only_nx3: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("knotgym.envs.task_states.shipped", lambda: Path(states_path))
     env = make("tie", nx=3, states=only_nx3)

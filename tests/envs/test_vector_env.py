@@ -48,17 +48,11 @@ def synced(states_path: str) -> Callable[..., SyncVectorEnv]:
     """Create Gymnasium's vector of single environments on the small state file."""
 
     def made(
-        task: str = "tie",
-        num_envs: int = 3,
-        autoreset_mode: str = "NextStep",
-        **settings: Any,
+        task: str = "tie", num_envs: int = 3, autoreset_mode: str = "NextStep", **settings: Any
     ) -> SyncVectorEnv:
         wanted = {"states": states_path, "observation": "state", **settings}
         modes: dict[str, Any] = {"autoreset_mode": autoreset_mode} if AutoresetMode else {}
-        return SyncVectorEnv(
-            [lambda: KnotEnv(task, **wanted)] * num_envs,
-            **modes,
-        )
+        return SyncVectorEnv([lambda: KnotEnv(task, **wanted)] * num_envs, **modes)
 
     return made
 

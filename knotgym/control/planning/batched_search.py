@@ -92,11 +92,7 @@ Search = Generator[Orders, Reports, Result]
 
 
 def try_pass(
-    state: Array,
-    move: Pass,
-    goal: GaussCode,
-    pulls: int = LONGEST,
-    bound: TowBound | None = None,
+    state: Array, move: Pass, goal: GaussCode, pulls: int = LONGEST, bound: TowBound | None = None
 ) -> Search[Report]:
     """Try a pass and return where it led; the arguments are those of `Trial`."""
     _, ((_, landing),) = yield Orders({0: Trial(state, move, min(LONGEST, pulls), goal, bound)})

@@ -198,12 +198,7 @@ class PassSearch:
         return PassPlan(passes, self.spent, self.tried)
 
     def _passes(
-        self,
-        state: Array,
-        points: Array,
-        sight: Sight,
-        left: int,
-        act_out: ActOut | None = None,
+        self, state: Array, points: Array, sight: Sight, left: int, act_out: ActOut | None = None
     ) -> Search[list[TriedPass]]:
         here, goal = sight.diagram, self.goal
         chance = self.values.reach(goal, here)

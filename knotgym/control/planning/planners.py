@@ -98,11 +98,7 @@ class Desk:
         self.thinking[ids] = False
 
     def ask(
-        self,
-        index: int,
-        search: Search[Any],
-        decided: Callable[[int, Any], None],
-        slots: int = 1,
+        self, index: int, search: Search[Any], decided: Callable[[int, Any], None], slots: int = 1
     ) -> None:
         """Begin a search for a lane; `decided` will be called with the lane and the result."""
         self.thinking[index], self._told[index] = True, decided
