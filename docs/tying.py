@@ -18,7 +18,7 @@ from knotgym.control import PolicyConfig
 from knotgym.datasets import Episodes, open_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import CollectConfig, collect
-from knotgym.rendering import OUTCOMES, draw_diagram
+from knotgym.rendering import Film, draw_diagram
 from knotgym.rope import CHAIN, Array
 from knotgym.runs import Progress, RunOptions
 from knotgym.topology import label
@@ -93,7 +93,7 @@ def _panel(
 ) -> Canvas:
     """Draw a rope with the pull as an arrow, and below it what it is and its code."""
     strip = np.zeros((_TEXT, _SIDE, 3), np.uint8)
-    colour = OUTCOMES["reached"] if reached else _GREY
+    colour = Film.OUTCOMES["reached"] if reached else _GREY
     cv2.putText(strip, heading, (6, 16), _FONT, 0.45, colour, 1, cv2.LINE_AA)
     cv2.putText(strip, code, (6, 36), _FONT, 0.45, _WHITE, 1, cv2.LINE_AA)
     picture = np.concatenate([draw_diagram(rope, _SIDE, side=side, pull=pull), strip])

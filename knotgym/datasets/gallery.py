@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.rendering import draw_diagram
+from knotgym.rendering import Film, draw_diagram
 from knotgym.states import States, read_states
 
 if TYPE_CHECKING:
@@ -104,7 +104,6 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 
     The sample is even over datasets, crossings of goals, and outcomes.
     """
-    from knotgym.rendering import OUTCOMES
 
     opened, tiles = [columns_of(dataset) for dataset in datasets], list[Tile]()
     every, strata = list[tuple[int, int]](), list[tuple[int, int, bool]]()
@@ -126,7 +125,7 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
         name = f"{opened[number].name}  " if len(opened) > 1 else ""
         captions = (code, f"{name}episode {row}", f"{outcome}, goal {goal}")
         points = steps["observation"][last].astype(np.float64)
-        tiles.append(Tile(draw_diagram(points), captions, OUTCOMES[outcome]))
+        tiles.append(Tile(draw_diagram(points), captions, Film.OUTCOMES[outcome]))
     return tiles
 
 

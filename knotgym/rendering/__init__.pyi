@@ -15,6 +15,5 @@ from .picture import strand_spacing as strand_spacing
 from .variation import Appearance as Appearance
 from .variation import Drawer as Drawer
 from .variation import Drawn as Drawn
-from .video import OUTCOMES as OUTCOMES
 from .video import Film as Film
 from .video import PictureWindow as PictureWindow

@@ -7,7 +7,7 @@ files VP9, both encoded by PyAV (extra `video`).
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -25,8 +25,6 @@ FRAMES_PER_SECOND = 5  # an action lasts 0.192 s
 _TEXT = 18  # height of a line of the caption, pixels
 _FONT, _LETTERS, _WHITE = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225)
 _WIDTH = 384  # width of each half, pixels
-OUTCOMES = {"reached": (52, 211, 153), "failed": (251, 113, 133)}  # RGB
-
 
 # suffix -> encoder of FFmpeg and its options
 _CODECS = {".mp4": ("libx264", {"crf": "18"}), ".webm": ("libvpx-vp9", {"crf": "18", "b": "0"})}
@@ -56,7 +54,7 @@ def _captioned(
         cv2.putText(below, line, origin, _FONT, letters, _WHITE, 1, cv2.LINE_AA)
     whole = np.concatenate([frame, below])
     if outcome:
-        colour = OUTCOMES[outcome]
+        colour = Film.OUTCOMES[outcome]
         cv2.putText(whole, outcome, (12, high - 16), _FONT, 1.2, colour, 2, cv2.LINE_AA)
         cv2.rectangle(whole, (2, 2), (wide - 3, len(whole) - 3), colour, 4)
     return whole
@@ -106,10 +104,15 @@ def _film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float
 class Film:
     """A video that is to be written as .gif, .mp4 or .webm.
 
+    Attributes:
+        OUTCOMES: RGB in which outcomes are marked, by name.
+
     Raises:
         InvalidInput: the suffix is unknown.
         MissingExtra: it needs PyAV, which isn't installed.
     """
+
+    OUTCOMES: ClassVar = {"reached": (52, 211, 153), "failed": (251, 113, 133)}
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path, self._kind = path, Path(path).suffix.lower()

@@ -1,7 +1,5 @@
 """Knot theory of a rope's projection: crossings, Gauss codes and other notations, symmetries, knot
 types. It takes points and codes, and never needs the simulator. Read `crossings.py` first.
-
-Nothing here needs the simulator.
 """
 
 import lazy_loader

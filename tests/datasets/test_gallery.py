@@ -3,7 +3,7 @@
 import numpy as np
 
 from knotgym.datasets.gallery import Tile, _contact_sheet, sample
-from knotgym.rendering import OUTCOMES
+from knotgym.rendering import Film
 
 
 def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
@@ -17,8 +17,8 @@ def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
 
 def test_a_coloured_tile_is_framed() -> None:
     image = np.zeros((16, 16, 3), dtype=np.uint8)
-    sheet = _contact_sheet([Tile(image, ("a",), OUTCOMES["failed"])])
-    assert (sheet[5, 6:22] == OUTCOMES["failed"]).all()
+    sheet = _contact_sheet([Tile(image, ("a",), Film.OUTCOMES["failed"])])
+    assert (sheet[5, 6:22] == Film.OUTCOMES["failed"]).all()
     assert np.array_equal(sheet[6:22, 6:22], image)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import MissingExtra
-from knotgym.rendering.video import FRAMES_PER_SECOND, OUTCOMES, Film, _film_frame
+from knotgym.rendering.video import FRAMES_PER_SECOND, Film, _film_frame
 from knotgym.rope import Rope
 
 from ..conftest import curled
@@ -72,8 +72,8 @@ def test_a_film_says_at_its_end_whether_the_goal_was_reached() -> None:
     for reached, outcome in (([False, True], "reached"), ([False, False], "failed")):
         first, *rest = Film.frames([loop, loop], loop, ["0", "1"], [pull], reached)
         assert len(rest) == 1 + FRAMES_PER_SECOND
-        assert (rest[-1][4, 4:-4] == OUTCOMES[outcome]).all()
-        assert (first[4, 4:-4] != OUTCOMES[outcome]).any()
+        assert (rest[-1][4, 4:-4] == Film.OUTCOMES[outcome]).all()
+        assert (first[4, 4:-4] != Film.OUTCOMES[outcome]).any()
 
 
 def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
