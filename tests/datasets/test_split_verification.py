@@ -38,24 +38,24 @@ def faults(dataset: EpisodeDataset) -> list[str]:
     return [fault.removeprefix(str(dataset.path)) for fault in _split_faults(dataset)]
 
 
-def with_goal(dataset: EpisodeDataset, states: States, row: int) -> EpisodeDataset:
-    """Give episode 1 a state as its goal."""
-    own = dataset.episodes.episodes
-    goals, points = own["goal"].copy(), own["goal_points"].copy()
-    goals[1], points[1] = row, states.points[row]
-    return changed(dataset, goal=goals, goal_points=points)
-
-
 @pytest.mark.parametrize("name", [*TINY])
 def test_what_was_collected_keeps_to_its_split(name: str) -> None:
     dataset = open_episodes(TINY[name])
     assert _split_faults(dataset) == _duplicate_faults(dataset) == []
 
 
-def test_a_leaked_goal_is_named(tiny: EpisodeDataset, states: States) -> None:
-    row = int(states.rows(2, "test")[0])
-    (fault,) = faults(with_goal(tiny, states, row))
-    assert fault == f", episode 1: its goal is row {row}, none of those of the train split"
+def test_a_goal_of_another_split_of_no_row_or_not_as_its_row_is_named(
+    tiny: EpisodeDataset, states: States
+) -> None:
+    own, leaked = tiny.episodes.episodes, int(states.rows(2, "test")[0])
+    goals, points = own["goal"].copy(), own["goal_points"].copy()
+    goals[1:], points[1] = (leaked, 10**6), states.points[leaked]
+    assert faults(changed(tiny, goal=goals, goal_points=points)) == [
+        f", episode 1: its goal is row {leaked}, none of those of the train split",
+        f", episode 2: its goal is row 1000000, of {len(states)} states",
+    ]
+    (fault, *_) = faults(changed(tiny, goal=np.roll(own["goal"], 1)))
+    assert "its goal isn't row" in fault
 
 
 def test_a_whole_dataset_of_the_other_split_is_named_episode_by_episode(
@@ -79,20 +79,6 @@ def test_a_start_of_the_other_split_is_named(
     points = states.points[loops].astype(np.float32)
     moved = changed(untied, start=starts, start_qpos=laid, goal=loops, goal_points=points)
     assert any(f"episode 1: its start is row {row}" in fault for fault in faults(moved))
-
-
-def test_a_row_of_the_other_split_or_none_is_named(tiny: EpisodeDataset, states: States) -> None:
-    goals = tiny.episodes.episodes["goal"].copy()
-    goals[0], goals[2] = states.rows(2, "test")[0], 10**6
-    first, last = faults(changed(tiny, goal=goals))
-    assert first.startswith(", episode 0: its goal is row") and "none of those of" in first
-    assert last == f", episode 2: its goal is row 1000000, of {len(states)} states"
-
-
-def test_a_goal_that_is_not_its_row_is_named(tiny: EpisodeDataset) -> None:
-    goals = tiny.episodes.episodes["goal"]
-    (fault, *_) = faults(changed(tiny, goal=np.roll(goals, 1)))
-    assert "its goal isn't row" in fault
 
 
 def test_the_same_pulls_twice_are_named_whatever_the_seed(tiny: EpisodeDataset) -> None:
@@ -132,20 +118,23 @@ def shown(tiny: EpisodeDataset, states: States) -> States:
     return States(Table(states.table.schema, {**some.table, **named}), states.attributes)
 
 
-def test_rows_name_the_episode_that_leads_to_them(tiny: EpisodeDataset, shown: States) -> None:
-    assert [*_demonstration_faults(shown, tiny.name, tiny)] == []
-
-
-def test_a_row_that_names_another_episode_is_a_fault(tiny: EpisodeDataset, shown: States) -> None:
-    wrong = shown.replaced({"source/trajectory": np.array([1, 7, 2])})
-    elsewhere, absent = _demonstration_faults(wrong, tiny.name, tiny)
-    assert elsewhere.startswith(f"states.h5 row 0: episode 1 of {tiny.name}")
-    assert absent.startswith(f"states.h5 row 1: episode 7 of {tiny.name} has no state ")
-
-
-def test_a_row_of_the_other_split_than_its_demonstration_is_a_fault(
-    tiny: EpisodeDataset, shown: States
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({}, []),
+        (
+            {"source/trajectory": np.array([1, 7, 2])},
+            ["row 0: episode 1 of {} ", "row 1: episode 7 of {} has no state "],
+        ),
+        (
+            {"split": np.full(3, "test")},
+            [f"row {k}: episode {k} of {{}} is of the train split" for k in range(3)],
+        ),
+    ],
+)
+def test_a_row_that_its_demonstration_does_not_lead_to_is_a_fault(
+    tiny: EpisodeDataset, shown: States, columns: dict[str, NDArray[np.generic]], says: list[str]
 ) -> None:
-    swapped = shown.replaced({"split": np.full(3, "test")})
-    found = [*_demonstration_faults(swapped, tiny.name, tiny)]
-    assert len(found) == 3 and all("is of the train split" in fault for fault in found)
+    found = [*_demonstration_faults(shown.replaced(columns), tiny.name, tiny)]
+    for fault, begins in zip(found, says, strict=True):
+        assert fault.startswith(f"states.h5 {begins.format(tiny.name)}")
