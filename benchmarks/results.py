@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, kendalltau, mannwhitneyu, trim_mean
-from seeds import CELLS, CHANGES, LEARNERS, ORDERED
+from seeds import CELLS, CHANGES, LEARNERS, ORDERED, SEEDS
 
 from knotgym.common import atomic_write
 from knotgym.generate import SUITE, Result, read_entry
@@ -182,6 +182,8 @@ def five_seeds(cells: dict[str, Floats]) -> Iterator[str]:
     """Learners with several trainings: what is more than chance."""
     if not cells:
         return
+    for name, trained in cells.items():
+        yield f"{name}: {trained.shape[1]} of {SEEDS} seeds are trained so far.\n"
     rng = np.random.default_rng(0)
     body = []
     for k, name in enumerate(LEARNERS):

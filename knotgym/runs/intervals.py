@@ -128,7 +128,8 @@ def _spread(
     rng = Stream.INTERVAL.generator(0)
     variances = [_variance(values, side, rng) for side in sides]
     # It is at least each of its terms, but its estimate can fall below them by chance.
-    variance = max(sum(variances) - (len(sides) - 1) * within, *variances, within)
+    repeated = max(0, sum(count > 1 for count in counts) - 1)
+    variance = max(sum(variances) - repeated * within, *variances, within)
     return variance, min((count - 1 for count in counts if count > 1), default=0)
 
 

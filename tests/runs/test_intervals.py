@@ -68,6 +68,16 @@ def test_a_side_of_one_state_adds_nothing_and_one_episode_has_an_interval() -> N
     assert cluster_interval([0, 1], [3, 3], [4, 4]) == wilson(1, 2)
 
 
+def test_trainings_that_differ_make_it_wider() -> None:
+    starts, seeds = [*range(60)] * 4, [seed for seed in range(4) for _ in range(60)]
+    success = [
+        int((7 * start) % 10 < 2 + 2 * seed) for start, seed in zip(starts, seeds, strict=True)
+    ]
+    of_states = cluster_interval(success, starts, [0] * 240)
+    of_both = cluster_interval(success, starts, [0] * 240, seeds)
+    assert of_both[0] < of_states[0] < 0.5 < of_states[1] < of_both[1]
+
+
 def coverage(
     interval: Interval, spread: float, odds: float, most_goals: int = GOALS, cells: int = 300
 ) -> float:
