@@ -232,8 +232,8 @@ def chance(cells: dict[str, Floats], one: str, other: str) -> float:
 def profile(cells: dict[str, Floats]) -> str:
     """Performance profiles: the share of trainings whose rate is at least x."""
     lines = []
-    for k, name in enumerate(LEARNERS):
-        own = np.concatenate([[], *(rates[k] for rates in cells.values())])
+    for k, name in enumerate(LEARNERS if cells else ()):
+        own = np.concatenate([rates[k] for rates in cells.values()])
         steps = [f"{40 + 4 * x:.0f},{220 - 200 * np.mean(own >= x / 100):.0f}" for x in range(101)]
         lines.append(
             f'<polyline fill="none" stroke="{COLOURS[k]}" stroke-width="2"'
