@@ -9,6 +9,7 @@ from .atomic_files import require_own as require_own
 from .atomic_files import require_regular as require_regular
 from .atomic_files import sha256 as sha256
 from .atomic_files import sweep as sweep
+from .compiled import inlined as inlined
 from .compiled import inner as inner
 from .configurations import Distinct as Distinct
 from .configurations import Mark as Mark

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import inner
+from knotgym.common import inlined, inner
 from knotgym.rendering.camera import (
     DEFAULT,
     PictureConfig,
@@ -174,7 +174,8 @@ def paint(
     # Strands are kept in lists: `first` has each pixel's newest strand or -1, `of` the strand
     # before, the pixel, the first and the last piece that touched it, and the piece on top; `seen`
     # its coverage, the rank of the piece on top, and the height of the axis there.
-    first = np.full(size * size, -1, np.int32)
+    first = np.empty(size * size, np.int32)
+    first[:] = -1
     of, seen = np.empty((4096, 5), np.int32), np.empty((4096, 3))
     order = np.empty(n, np.int64)
     for k in range(ropes):
@@ -186,7 +187,7 @@ def paint(
             first[of[strand, 1]] = -1
 
 
-@inner
+@inlined
 def _stamp(
     pixels: Array, height: Array, radius: Array, first: Array, of: Array, seen: Array, size: int
 ) -> Any:
@@ -208,7 +209,7 @@ def _stamp(
         left, right = _range(x, dx, reach, size)
         # here, as arrays that are replaced in the inner loop are slow
         while count + (bottom - top) * (right - left) > len(of):
-            of, seen = _doubled(of), _doubled(seen)
+            of, seen = _doubled(of, seen)
         # half of what a row cuts out of the piece, however far it went on; beside that all is free
         slope, wide = (dx / dy, reach * np.sqrt(square) / abs(dy)) if dy != 0.0 else (0.0, np.inf)
         for row in range(top, bottom):
@@ -257,15 +258,20 @@ def _range(start: float, step: float, reach: float, size: int) -> tuple[int, int
     return int(min(max(low, 0.0), size)), int(min(max(high + 1.0, 0.0), size))
 
 
-@inner
-def _doubled(rows: Any) -> Any:
-    """Return an array with room for twice as many rows."""
-    wider = np.empty((2 * len(rows), rows.shape[1]), rows.dtype)
-    wider[: len(rows)] = rows
-    return wider
+@inlined
+def _doubled(of: NDArray[np.int32], seen: NDArray[np.float64]) -> Any:
+    """Return `of` and `seen` with room for twice as many strands."""
+    strands = len(of)
+    more_of, more_seen = np.empty((2 * strands, 5), np.int32), np.empty((2 * strands, 3))
+    for strand in range(strands):  # assigning slices would take seconds to compile
+        for column in range(5):
+            more_of[strand, column] = of[strand, column]
+        for column in range(3):
+            more_seen[strand, column] = seen[strand, column]
+    return more_of, more_seen
 
 
-@inner
+@inlined
 def _cut(pixels: Array, band: Array, first: Array, of: Array, seen: Array, size: int) -> None:
     """Cut what lies below a band, see `paint`: cover it less."""
     n, (middle, half, radius, level, spared) = len(pixels), band
@@ -299,7 +305,7 @@ def _cut(pixels: Array, band: Array, first: Array, of: Array, seen: Array, size:
                 strand = of[strand, 0]
 
 
-@inner
+@inlined
 def _close(newest: int, of: Array, seen: Array, n: int) -> None:
     """Join the strands of a pixel that end with the last piece of the rope and begin with piece 0.
 
@@ -319,7 +325,7 @@ def _close(newest: int, of: Array, seen: Array, n: int) -> None:
     seen[end, 0], seen[end, 2] = 0.0, -np.inf
 
 
-@inner
+@inlined
 def _falling(newest: int, of: Array, seen: Array, order: Array) -> int:
     """Sort the strands of a pixel into `order`, the highest first; return how many there are."""
     count, strand = 0, newest
@@ -334,7 +340,7 @@ def _falling(newest: int, of: Array, seen: Array, order: Array) -> int:
     return count
 
 
-@inner
+@inlined
 def _blend(
     count: int,
     first: Array,

@@ -48,8 +48,9 @@ def _close_loops(along: Array) -> None:
     beads = along.shape[1]
     norm, unit, moved = np.empty(beads), np.empty((beads, 3)), np.empty((beads, 3))
     m, total = np.empty((3, 4)), np.empty(3)  # m: the Jacobian, and the right side beside it
+    shift = np.empty(3)
     for chain in range(len(along)):
-        shift = np.zeros(3)
+        shift[:] = 0.0
         for _ in range(50):
             total[:] = 0.0
             m[:] = 0.0
@@ -76,7 +77,7 @@ def _close_loops(along: Array) -> None:
                 along[chain, i, c] = unit[i, c]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _add_solution(m: Array, shift: Array) -> None:
     """Add the solution of three linear equations (3, 4) to `shift`; `m` is overwritten.
 
@@ -90,9 +91,7 @@ def _add_solution(m: Array, shift: Array) -> None:
     for row in range(1, 3):
         if abs(m[row, 0]) > abs(m[first, 0]):
             first = row
-    order = np.array([0, 1, 2])
-    order[0], order[first] = first, 0
-    a, b, c = m[order[0]], m[order[1]], m[order[2]]
+    a, b, c = m[first], m[0 if first == 1 else 1], m[0 if first == 2 else 2]
     for row in (b, c):
         row[0] *= 1 / a[0]
         row[1] -= row[0] * a[1]

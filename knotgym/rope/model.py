@@ -473,8 +473,8 @@ def _transported(along: Array, order: Array, parent: Array) -> Array:
         order, parent: the trees, see the module.
     """
     world = np.empty((len(along), len(order), 4))
-    x_axis, arc = np.zeros(3), np.empty(4)
-    x_axis[0] = 1.0
+    x_axis, arc = np.empty(3), np.empty(4)
+    x_axis[0], x_axis[1], x_axis[2] = 1.0, 0.0, 0.0
     for row in range(len(along)):
         for k in range(len(order)):
             bead = order[k]
@@ -518,7 +518,7 @@ def _backward(
                 _multiply(back, world[row, bead], qpos[row, a : a + 4])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
+@inner
 def _unit(q: Array, unit: Array) -> None:
     size = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     for c in range(4):

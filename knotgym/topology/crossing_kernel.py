@@ -32,7 +32,7 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from knotgym.common import inner
+from knotgym.common import inlined, inner
 
 Columns = namedtuple("Columns", "over_place under_place over_z under_z sign x y")
 CROSSING = Columns(*range(7))  # columns of the table of crossings
@@ -72,7 +72,8 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     walk = _walk(points.shape[0], hits, fractions)
     visits = np.empty(len(walk), np.int64)
     table = np.empty((len(hits), 7))
-    first_visits = np.zeros(len(hits), np.int64)  # per hit the signed label; 0: not yet visited
+    first_visits = np.empty(len(hits), np.int64)  # per hit the signed label; 0: not yet visited
+    first_visits[:] = 0
     nx = 0
     for k in range(len(walk)):
         h = walk[k] // 2
@@ -126,7 +127,7 @@ def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts:
     return most
 
 
-@inner
+@inlined
 def _all_finite(points: np.ndarray) -> bool:
     for bead in range(points.shape[0]):
         if not (
@@ -150,15 +151,20 @@ def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     extent = 0.0
     for axis in range(3):
         # scaled before the difference, which may overflow
-        extent = max(extent, SAME * points[:, axis].max() - SAME * points[:, axis].min())
-    edges, first = np.arange(beads), np.arange(beads)
+        low = high = points[0, axis]
+        for bead in range(1, beads):
+            low, high = min(low, points[bead, axis]), max(high, points[bead, axis])
+        extent = max(extent, SAME * high - SAME * low)
+    edges, first = np.empty(beads, np.int64), np.empty(beads, np.int64)
+    for bead in range(beads):
+        edges[bead] = first[bead] = bead
     kept = 1
     for bead in range(1, beads):
         if not _same_spot(points, first[kept - 1], bead, extent):
             first[kept] = bead
             kept += 1
         edges[kept - 1] = bead  # the last vertex on the spot is where the next edge begins
-    while kept > 1 and _same_spot(points, 0, first[kept - 1], extent):
+    while kept > 1 and _same_spot(points, first[0], first[kept - 1], extent):
         kept -= 1
     if kept == beads:
         return points, edges
@@ -177,7 +183,7 @@ def _same_spot(points: np.ndarray, one: int, other: int, extent: float) -> bool:
     return True
 
 
-@inner
+@inlined
 def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute bounding boxes in the plane, rows (x min, x max, y min, y max).
 
@@ -252,7 +258,7 @@ def _hits(points: np.ndarray, most: int) -> np.ndarray:
     return hits[:count]
 
 
-@inner
+@inlined
 def _crosses(points: np.ndarray, i: int, j: int) -> int:
     """Return 0 if edges i and j don't cross, else the side of edge i on which edge j ends.
 
@@ -270,7 +276,7 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
     return turn
 
 
-@inner
+@inlined
 def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find where each strand passes its crossing.
 
@@ -290,7 +296,7 @@ def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return fractions, heights
 
 
-@inner
+@inlined
 def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> float:
     """Return how far along the edge from i to i_end it meets the edge from j to j_end, in [0, 1].
 
@@ -314,7 +320,7 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> flo
     return float((0.5 * (low + high) - start) / (end - start))
 
 
-@inner
+@inlined
 def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     """Sort the strands by position along the rope, int64 (2 n,).
 
@@ -322,13 +328,15 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     more than one strand.
     """
     # starts[e] : starts[e + 1] is the range of the walk that belongs to edge e
-    starts = np.zeros(beads + 1, np.int64)
+    starts, filled = np.empty(beads + 1, np.int64), np.empty(beads, np.int64)
+    starts[:] = 0
     for strand in range(len(fractions)):
         starts[hits[strand // 2, strand % 2] + 1] += 1  # counts, shifted by one for the sums below
     for edge in range(beads):
         starts[edge + 1] += starts[edge]
     walk = np.empty(len(fractions), np.int64)
-    filled = starts[:beads].copy()  # the next free slot of each edge
+    for edge in range(beads):
+        filled[edge] = starts[edge]  # the next free slot of each edge
     for strand in range(len(fractions)):
         edge = hits[strand // 2, strand % 2]
         slot = filled[edge]
@@ -369,7 +377,7 @@ def _side(points: np.ndarray, a: int, b: int, c: int) -> int:
     return sign
 
 
-@inner
+@inlined
 def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
     """Break a tie by the first perturbation term that doesn't vanish.
 
@@ -403,7 +411,7 @@ def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
     factors = (ax, by, -ax, cy, bx, cy, -bx, ay, cx, ay, -cx, by)
     # An expansion in Shewchuk's sense: its floats don't overlap and grow in magnitude, so the last
     # one that isn't zero has the sign of the sum.
-    total = np.zeros(12)
+    total = np.empty(12)
     length = 0
     for k in range(6):
         high, low = _product(factors[2 * k], factors[2 * k + 1])

@@ -19,19 +19,18 @@ After a change run `pytest -m 'thorough or not thorough' tests/rope/chain/test_c
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.common import inner
 from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
-System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner
+System = tuple[Array, Array, Array, Array]  # diag, near, far, arrow
 Row = tuple[Any, Any, Any, Any]  # lanes
 Pivot = tuple[Any, ...]  # 10 lanes: a packed lower triangle with inverse pivots on its diagonal
 
 
-@njit(nogil=True)
+@inner
 def factor(system: System) -> None:
     """Factor in place, right-looking: each column, once done, is subtracted from what follows.
 
@@ -39,8 +38,8 @@ def factor(system: System) -> None:
     y = M l^-T and z = y d^-1 give M S^-1 M'^T = y z'^T, which is subtracted from the block that
     has M's rows and the columns of M'; z is the block of L.
     """
-    diag, near, far, arrow, corner = system
-    n = len(diag)
+    diag, near, far, arrow = system
+    n = len(near)  # block n of the diagonal is the corner
     for k in range(n):
         # What column k takes from later blocks is subtracted at once, so every block is complete
         # when its own turn comes, and nothing is kept but the blocks themselves.
@@ -51,7 +50,7 @@ def factor(system: System) -> None:
                 # N_k against itself changes D_(k + 1).
                 # only the lower triangle of the symmetric D_(k + 1): rows of z up to r are done
                 for c in range(r + 1):
-                    _subtract(diag, (k + 1, r * (r + 1) // 2 + c), y, near, k, c)
+                    _subtract(diag, k + 1, r * (r + 1) // 2 + c, y, near, k, c)
         if k + 2 < n:
             for r in range(3):
                 # F_k has three rows, as the spin of bead k + 2 is coupled with nothing of block k.
@@ -59,37 +58,37 @@ def factor(system: System) -> None:
                 # two.
                 y = _divide(far, k, r, pivot)
                 for c in range(r + 1):
-                    _subtract(diag, (k + 2, r * (r + 1) // 2 + c), y, far, k, c)
+                    _subtract(diag, k + 2, r * (r + 1) // 2 + c, y, far, k, c)
                 for c in range(4):
-                    _subtract(near, (k + 1, 4 * r + c), y, near, k, c)
+                    _subtract(near, k + 1, 4 * r + c, y, near, k, c)
         for r in range(3):
             # The arrow's rows are the corner's: against themselves they change the corner, against
             # N_k and F_k the arrow of the next two columns. This is all the fill-in there is.
             y = _divide(arrow, k, r, pivot)
             for c in range(r + 1):
-                _subtract(corner, (r * (r + 1) // 2 + c,), y, arrow, k, c)
+                _subtract(diag, n, r * (r + 1) // 2 + c, y, arrow, k, c)
             if k + 1 < n:
                 for c in range(4):
-                    _subtract(arrow, (k + 1, 4 * r + c), y, near, k, c)
+                    _subtract(arrow, k + 1, 4 * r + c, y, near, k, c)
             if k + 2 < n:
                 # F_k has no row of spin, so the arrow's fourth column of k + 2 stays as it is
                 for c in range(3):
-                    _subtract(arrow, (k + 2, 4 * r + c), y, far, k, c)
+                    _subtract(arrow, k + 2, 4 * r + c, y, far, k, c)
     # what is left in the corner is its Schur complement, 3 x 3
     # no square roots: pivots are inverted once, so that substitution multiplies
-    d0 = 1.0 / load(corner, (0,))
-    a10, a20 = load(corner, (1,)), load(corner, (3,))
+    d0 = 1.0 / load(diag, (n, 0))
+    a10, a20 = load(diag, (n, 1)), load(diag, (n, 3))
     l10, l20 = a10 * d0, a20 * d0
-    d1 = 1.0 / fma(-a10, l10, load(corner, (2,)))
-    a21 = fma(-a20, l10, load(corner, (4,)))
+    d1 = 1.0 / fma(-a10, l10, load(diag, (n, 2)))
+    a21 = fma(-a20, l10, load(diag, (n, 4)))
     l21 = a21 * d1
-    d2 = 1.0 / fma(-a21, l21, fma(-a20, l20, load(corner, (5,))))
-    put(corner, (0,), d0)
-    put(corner, (1,), l10)
-    put(corner, (2,), d1)
-    put(corner, (3,), l20)
-    put(corner, (4,), l21)
-    put(corner, (5,), d2)
+    d2 = 1.0 / fma(-a21, l21, fma(-a20, l20, load(diag, (n, 5))))
+    put(diag, (n, 0), d0)
+    put(diag, (n, 1), l10)
+    put(diag, (n, 2), d1)
+    put(diag, (n, 3), l20)
+    put(diag, (n, 4), l21)
+    put(diag, (n, 5), d2)
 
 
 @inner
@@ -132,20 +131,18 @@ def _divide(block: Array, k: int, r: int, pivot: Pivot) -> Row:
 
 
 @inner
-def _subtract(
-    target: Array, position: tuple[int, ...], y: Row, block: Array, k: int, c: int
-) -> None:
-    """Subtract y . z from an element, z being row c of a block of L in column k."""
+def _subtract(target: Array, i: int, e: int, y: Row, block: Array, k: int, c: int) -> None:
+    """Subtract y . z from element e of block i, z being row c of a block of L in column k."""
     # Always in this order, from component 0 to 3: another one would round otherwise.
-    s = load(target, position)
+    s = load(target, (i, e))
     s = fma(-y[0], load(block, (k, 4 * c)), s)
     s = fma(-y[1], load(block, (k, 4 * c + 1)), s)
     s = fma(-y[2], load(block, (k, 4 * c + 2)), s)
     s = fma(-y[3], load(block, (k, 4 * c + 3)), s)
-    put(target, position, s)
+    put(target, (i, e), s)
 
 
-@njit(nogil=True)
+@inner
 def forward(system: System, right: Array, first: int) -> None:
     """Substitute forwards, in place: `right` becomes L^-1 `right`.
 
@@ -154,8 +151,8 @@ def forward(system: System, right: Array, first: int) -> None:
         right: (n + 1, 4, LANES), the corner's last; of that block 3 are used.
         first: blocks before this one are zero in every lane.
     """
-    diag, near, far, arrow, corner = system
-    n = len(diag)
+    diag, near, far, arrow = system
+    n = len(near)  # block n of the diagonal is the corner
     # the corner is last in the elimination, so it gathers what every column's arrow takes from it
     c0, c1, c2 = load(right, (n, 0)), load(right, (n, 1)), load(right, (n, 2))
     for k in range(first, n):
@@ -171,10 +168,10 @@ def forward(system: System, right: Array, first: int) -> None:
         y = y0, y1, y2, y3
         if k + 1 < n:
             for r in range(4):
-                _subtract(right, (k + 1, r), y, near, k, r)
+                _subtract(right, k + 1, r, y, near, k, r)
         if k + 2 < n:
             for r in range(3):
-                _subtract(right, (k + 2, r), y, far, k, r)
+                _subtract(right, k + 2, r, y, far, k, r)
         c0 = fma(-load(arrow, (k, 0)), y0, fma(-load(arrow, (k, 1)), y1, c0))
         c0 = fma(-load(arrow, (k, 2)), y2, fma(-load(arrow, (k, 3)), y3, c0))
         c1 = fma(-load(arrow, (k, 4)), y0, fma(-load(arrow, (k, 5)), y1, c1))
@@ -182,8 +179,8 @@ def forward(system: System, right: Array, first: int) -> None:
         c2 = fma(-load(arrow, (k, 8)), y0, fma(-load(arrow, (k, 9)), y1, c2))
         c2 = fma(-load(arrow, (k, 10)), y2, fma(-load(arrow, (k, 11)), y3, c2))
     # the corner's own unit triangle, once all columns have had their part
-    c1 = fma(-load(corner, (1,)), c0, c1)
-    c2 = fma(-load(corner, (3,)), c0, fma(-load(corner, (4,)), c1, c2))
+    c1 = fma(-load(diag, (n, 1)), c0, c1)
+    c2 = fma(-load(diag, (n, 3)), c0, fma(-load(diag, (n, 4)), c1, c2))
     put(right, (n, 0), c0)
     put(right, (n, 1), c1)
     put(right, (n, 2), c2)
@@ -191,17 +188,17 @@ def forward(system: System, right: Array, first: int) -> None:
     put(right, (n, 3), 0.0)
 
 
-@njit(nogil=True)
+@inner
 def backward(system: System, right: Array) -> None:
     """Substitute backwards, in place: right = L^-1 b becomes the solution."""
-    diag, near, far, arrow, corner = system
-    n = len(diag)
+    diag, near, far, arrow = system
+    n = len(near)  # block n of the diagonal is the corner
     # Solve L^T x = D^-1 y. The diagonals hold inverse pivots, so D^-1 is a multiplication. The
     # corner comes first, as the last unknown.
-    a2 = load(right, (n, 2)) * load(corner, (5,))
-    a1 = fma(load(right, (n, 1)), load(corner, (2,)), -load(corner, (4,)) * a2)
-    a0 = fma(load(right, (n, 0)), load(corner, (0,)), -load(corner, (1,)) * a1)
-    a0 = fma(-load(corner, (3,)), a2, a0)
+    a2 = load(right, (n, 2)) * load(diag, (n, 5))
+    a1 = fma(load(right, (n, 1)), load(diag, (n, 2)), -load(diag, (n, 4)) * a2)
+    a0 = fma(load(right, (n, 0)), load(diag, (n, 0)), -load(diag, (n, 1)) * a1)
+    a0 = fma(-load(diag, (n, 3)), a2, a0)
     put(right, (n, 0), a0)
     put(right, (n, 1), a1)
     put(right, (n, 2), a2)

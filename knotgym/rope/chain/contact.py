@@ -29,10 +29,9 @@ benchmarks/long_play.py --engine chain`: no change of knot type.
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import inner
+from knotgym.common import inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System, forward
 from knotgym.rope.chain.layout import Physics
@@ -62,7 +61,7 @@ _NEXT = 3  # edges nearer than this along the rope are not in the list
 STRETCH = 1.01  # no edge is longer than this times its length; `judge` rejects 0.1 % already
 
 
-@njit(nogil=True)
+@inner
 def middles(x: Array, middle: Array) -> None:
     """Write the midpoints of the edges."""
     n = len(x)
@@ -72,7 +71,7 @@ def middles(x: Array, middle: Array) -> None:
             put(middle, (i, c), 0.5 * (load(x, (i, c)) + load(x, (j, c))))
 
 
-@njit(nogil=True)
+@inner
 def list_pairs(middle: Array, within: float, pairs: Pairs) -> None:
     """Write the pairs of edges whose midpoints are near in some lane."""
     start, other = pairs
@@ -90,7 +89,7 @@ def list_pairs(middle: Array, within: float, pairs: Pairs) -> None:
     start[n] = count
 
 
-@njit(nogil=True)
+@inner
 def closest(x: Array, i: int, j: int) -> Any:
     """Distance of edges i and j, and what leads to it (Ericson, Real-Time Collision Detection,
     5.1.9).
@@ -119,7 +118,7 @@ def closest(x: Array, i: int, j: int) -> Any:
     return norm(to), s, t, to
 
 
-@njit(nogil=True)
+@inner
 def find_rows(
     x: Array,
     v: Array,
@@ -176,11 +175,11 @@ def find_rows(
             _try_row(x, v, i, k, h, touch, spot, rows, found)
 
 
-@inner
+@inlined
 def _vertex_most(v: Array, most: Array) -> None:
     """Write the larger speed of each edge's two vertices."""
     n = len(v)
-    last = norm(vector(v, 0))
+    last = norm(vector(v, np.int64(0)))  # a literal would be a type of its own, and compile twice
     for i in range(n):
         own = norm(vector(v, i + 1 if i + 1 < n else 0))
         put(most, (i,), max(last, own))
@@ -223,7 +222,7 @@ def _try_row(
             found[lane] = row + 1
 
 
-@njit(nogil=True)
+@inner
 def push_apart(
     rows: Array,
     found: Ints,
@@ -246,13 +245,13 @@ def push_apart(
         system: as `banded.factor` left it.
         right: (n + 1, 4, LANES), changed in place.
     """
-    n, diag, corner = len(v), system[0], system[4]
+    n, diag = len(v), system[0]
     # L^-1 J^T of all contacts, D^-1 L^-1 J^T of one, and J A^-1 J^T.
-    column = np.zeros((most, n + 1, 4, LANES))
-    scaled = np.zeros((n + 1, 4, LANES))
+    column = np.empty((most, n + 1, 4, LANES))
+    scaled = np.empty((n + 1, 4, LANES))
     weight = np.empty((most, most, LANES))
-    speed = np.zeros((most, LANES))
-    force = np.zeros((most, LANES))
+    speed, force = np.empty((most, LANES)), np.empty((most, LANES))
+    column[:] = speed[:] = force[:] = 0.0
     for r in range(most):
         first = n
         for lane in range(LANES):
@@ -273,11 +272,9 @@ def push_apart(
         # `first`: blocks before the first vertex of the contact stay zero, so substitution and all
         # sums may begin there: a third of the work is saved on average
         forward(system, column[r], first)
-        for i in range(first, n):
+        for i in range(first, n + 1):
             for c, e in enumerate(layout.DIAGONAL):
                 put(scaled, (i, c), load(column, (r, i, c)) * load(diag, (i, e)))
-        for c, e in enumerate(layout.CORNER_DIAGONAL):
-            put(scaled, (n, c), load(column, (r, n, c)) * load(corner, (e,)))
         for q in range(r + 1):
             # Two sums side by side, so that the processor doesn't wait for each; their order is
             # fixed.
@@ -298,7 +295,7 @@ def push_apart(
                 put(right, (i, c), fma(own, load(column, (r, i, c)), load(right, (i, c))))
 
 
-@inner
+@inlined
 def _solve_forces(
     rows: Array,
     count: int,
@@ -340,7 +337,7 @@ def _solve_forces(
             break
 
 
-@njit(nogil=True)
+@inner
 def sharpness(tangent: Array, i: int, j: int, k: int) -> Any:
     """The smaller cosine of the angles between edge j and its neighbours i and k."""
     middle = vector(tangent, j)

@@ -41,7 +41,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import inner
+from knotgym.common import inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System
 from knotgym.rope.chain.layout import Physics
@@ -51,7 +51,7 @@ from knotgym.rope.chain.vectors import along, cross, dot, minus, norm, put_vecto
 Array = NDArray[np.float64]
 
 
-@njit(nogil=True)
+@inner
 def tangents(x: Array, v: Array, ahead: Array, tangent: Array) -> None:
     """Write unit vectors along the edges as they will lie in `ahead` seconds."""
     n = len(x)
@@ -62,7 +62,7 @@ def tangents(x: Array, v: Array, ahead: Array, tangent: Array) -> None:
         put_vector(tangent, i, unit(along(edge, h, minus(vector(v, j), vector(v, i)))))
 
 
-@njit(nogil=True)
+@inner
 def assemble(
     tangent: Array,
     side: Array,
@@ -86,7 +86,7 @@ def assemble(
         system: written, not yet factored.
         right: (n + 1, 4, LANES), written.
     """
-    diag, near, far, _, _ = system
+    diag, near, far, _ = system
     n, damping = len(tangent), physics.damping
     joint, bead = np.empty((n, 13, LANES)), np.empty((n, 12, LANES))
     length, stiff = physics.length, physics.stretch
@@ -194,17 +194,19 @@ def assemble(
     _cut(system, right)
 
 
-@inner
+@inlined
 def _cut(system: System, right: Array) -> None:
     """Make vertex 0's velocity the last unknown; its place in block 0 is left empty."""
-    diag, near, far, arrow, corner = system
-    n = len(diag)
+    diag, near, far, arrow = system
+    n = len(near)
     for k in range(n):
         for c in range(12):
             put(arrow, (k, c), 0.0)
+    # The corner has no spin, but is multiplied like the other blocks, by a number.
+    put(diag, (n, layout.SPIN_DIAGONAL), 0.0)
     # The 3 x 3 of vertex 0 moves to the corner; a unit matrix stays, so that it can be factored.
     for e in range(6):
-        put(corner, (e,), load(diag, (0, e)))
+        put(diag, (n, e), load(diag, (0, e)))
         put(diag, (0, e), 1.0 if e == 0 or e == 2 or e == 5 else 0.0)
     for a in range(3):
         put(diag, (0, layout.SPIN_ROW + a), 0.0)
@@ -222,7 +224,7 @@ def _cut(system: System, right: Array) -> None:
                 put(far, (0, 4 * b + a), 0.0)
 
 
-@njit(nogil=True)
+@inner
 def set_lengths(x: Array, length: float, rounds: int) -> None:
     """Move vertices a little, in place, so that all edges get their length; Newton's method.
 
@@ -303,7 +305,7 @@ def set_all_lengths(points: Array, length: float, rounds: int) -> None:
                     points[rope, i, c] = group[i, c, rope - first]
 
 
-@njit(nogil=True)
+@inner
 def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) -> None:
     """Turn the beads' sides, in place, with their edges from `old` to `new`, and by their spins."""
     h = load(step, (0,))

@@ -9,12 +9,12 @@ n is the number of beads of a rope. Arrays marked `L` end with one more axis of 
 
     the system A x = b of a substep, blocks of four unknowns: velocity of vertex k, spin of bead k
 
-        | D0                      .  |    diag   L (n, 10)  D_k, lower triangle of 4 x 4
-        | N0 D1                   .  |    near   L (n, 16)  N_k, 4 x 4: rows of block k + 1
-        | F0 N1 D2                .  |    far    L (n, 12)  F_k, 3 x 4: velocity of block k + 2
-        |    F1 N2 D3             .  |    arrow  L (n, 12)  A_k, 3 x 4: rows of the corner
-        |       .  .  .           .  |    corner L (6,)     lower triangle of 3 x 3
-        | A0 A1 A2 .  .        corner|    columns of near, far, arrow: those of block k
+        | D0                      .  |    diag   L (n + 1, 10)  D_k, lower triangle of 4 x 4
+        | N0 D1                   .  |    near   L (n, 16)      N_k, 4 x 4: rows of block k + 1
+        | F0 N1 D2                .  |    far    L (n, 12)      F_k, 3 x 4: velocity of block k + 2
+        |    F1 N2 D3             .  |    arrow  L (n, 12)      A_k, 3 x 4: rows of the corner
+        |       .  .  .           .  |    D_n is the corner, of which 3 x 3 are used;
+        | A0 A1 A2 .  .          D_n |    columns of near, far, arrow: those of block k
                                           kg/s for velocities, N m s for spins
 
     b and x, `right`             L (n + 1, 4)   block k: velocity of vertex k, spin of bead k;
@@ -76,9 +76,8 @@ X, V, SIDE, SPUN, STATE = 0, 3, 6, 9, 10
 
 # in a block of unknowns 0 1 2 are the velocity; in a packed triangle its row begins at SPIN_ROW
 SPIN, SPIN_ROW = 3, 6
-# where the diagonals of packed triangles stand, of 4 x 4 and 3 x 3
+# where the diagonal of a packed triangle stands; of the corner's, 3 x 3, the first three
 DIAGONAL = (0, 2, 5, 9)
-CORNER_DIAGONAL = (0, 2, 5)
 SPIN_DIAGONAL = 9
 
 # joint i, between beads i - 1 and i

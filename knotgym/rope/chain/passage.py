@@ -17,7 +17,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.common import inner
@@ -58,7 +57,7 @@ def longest_edge(radius: float) -> float:
     return min(listed, FAR_APART - 2.0 * LEAP) / STRETCH
 
 
-@njit(nogil=True)
+@inner
 def judge(
     x: Array,
     new: Array,
@@ -85,7 +84,7 @@ def judge(
     n = len(x)
     turn, spot = np.empty((n, LANES)), np.empty((2, LANES))
     widest, worst = 0.0 * load(x, (0, 0)), 0.0 * load(x, (0, 0))
-    move = minus(vector(new, 0), vector(x, 0))
+    move = minus(vector(new, np.int64(0)), vector(x, np.int64(0)))
     last = norm(move)
     for i in range(n):
         j = i + 1 if i + 1 < n else 0

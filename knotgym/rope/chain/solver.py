@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import inner
+from knotgym.common import inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.contact import (
@@ -87,11 +87,11 @@ def advance(
     """
     n = states.shape[1]
     group, after, spare = _empty_group(n), _empty_group(n), _empty_scratch(n)
-    pull, step = np.zeros((n, 3, LANES)), np.empty((1, LANES))
+    pull, step = np.empty((n, 3, LANES)), np.empty((1, LANES))
     listed, pairs = np.empty((n, 3, LANES)), _empty_pairs(n)
-    accepted, found = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.int64)
-    clock = np.ones((4, LANES), dtype=np.int64)
-    clock[layout.ROPE] = -1
+    accepted, found = np.empty(LANES, np.bool_), np.empty(LANES, np.int64)
+    clock = np.empty((4, LANES), np.int64)
+    clock[:] = -1
     shares = 0
     for share in schedule:
         shares += share
@@ -138,7 +138,7 @@ def advance(
                 clock[layout.ROPE, lane] = -1
 
 
-@inner
+@inlined
 def _next_rope(clock: Ints, lane: int, taken: Ints, ropes: int) -> int:
     """Return the next of so many ropes; -1 if the lane has one, or none is left."""
     if clock[layout.ROPE, lane] >= 0 or taken[0] >= ropes:
@@ -154,20 +154,19 @@ def _empty_group(n: int) -> Group:
     return np.empty(vectors), np.empty(vectors), np.empty(vectors), np.empty((n, LANES))
 
 
-@inner
+@inlined
 def _empty_scratch(n: int) -> tuple[Any, ...]:
     """What a substep overwrites: the system, two right sides, directions and contacts."""
-    # blocks as `layout` draws them: diag, near, far, arrow, corner
+    # blocks as `layout` draws them: diag, near, far, arrow
     system = (
-        np.empty((n, 10, LANES)),
+        np.empty((n + 1, 10, LANES)),
         np.empty((n, 16, LANES)),
         np.empty((n, 12, LANES)),
         np.empty((n, 12, LANES)),
-        np.empty((6, LANES)),
     )
     rights = np.empty((n + 1, 4, LANES)), np.empty((n + 1, 4, LANES))
     directions = np.empty((n, 3, LANES)), np.empty((n, 3, LANES))
-    middle, motion, rows = np.empty((n, 3, LANES)), np.empty((n, LANES)), np.zeros((ROWS, 8, LANES))
+    middle, motion, rows = np.empty((n, 3, LANES)), np.empty((n, LANES)), np.empty((ROWS, 8, LANES))
     return system, rights, directions, middle, motion, rows, _empty_pairs(n)
 
 
@@ -176,7 +175,7 @@ def _empty_pairs(n: int) -> Pairs:
     return np.empty(n + 1, np.int64), np.empty(n * n // 2, np.int64)
 
 
-@inner
+@inlined
 def _substep(
     group: Group,
     after: Group,
@@ -197,7 +196,8 @@ def _substep(
     n, length = len(x), physics.length
     # Directions of the edges now, for contact and for turning the sides, and at x + h v / 2, the
     # middle of the substep, for the system: so edges keep their length to second order in h.
-    ahead = np.zeros((1, LANES))
+    ahead = np.empty((1, LANES))
+    put(ahead, (0,), 0.0)
     tangents(x, v, ahead, tangent)
     put(ahead, (0,), 0.5 * load(step, (0,)))
     tangents(x, v, ahead, tangent1)
@@ -237,7 +237,7 @@ def _substep(
     judge(x, x1, tangent, middle, motion, pairs, wider, length, accepted)
 
 
-@inner
+@inlined
 def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
     """Set a lane's next substep, after one accepted or not; return whether its action is over."""
     if accepted:
@@ -265,7 +265,7 @@ def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) 
     return True
 
 
-@inner
+@inlined
 def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
     """Let lanes without a rope do what another does, and nobody looks; return if there is one."""
     busy = -1
@@ -286,7 +286,7 @@ def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
     return True
 
 
-@inner
+@inlined
 def _list(x: Array, spare: tuple[Any, ...], listed: Array, pairs: Pairs) -> None:
     """List near pairs of edges, and keep where the vertices were."""
     middles(x, spare[3])
@@ -295,7 +295,7 @@ def _list(x: Array, spare: tuple[Any, ...], listed: Array, pairs: Pairs) -> None
         put_vector(listed, i, vector(x, i))
 
 
-@inner
+@inlined
 def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: Array) -> None:
     """Put a rope into a lane. The force on its bead's centre is shared by the bead's vertices."""
     x, v, side, spin = group
@@ -310,7 +310,7 @@ def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: 
         pull[bead, c, lane] = pull[(bead + 1) % n, c, lane] = 0.5 * force[c]
 
 
-@inner
+@inlined
 def _give(state: Array, points: Array, lane: int, group: Group) -> bool:
     """Write what a lane holds to a rope's state and points; return whether all of it is finite."""
     x, v, side, spin = group
@@ -336,7 +336,7 @@ def _copy(source: Group, lane: int, target: Group, to: int) -> None:
         target[3][i, to] = source[3][i, lane]
 
 
-@inner
+@inlined
 def _stop(group: Group, lane: int) -> None:
     """Bring a lane's rope to rest."""
     for i in range(len(group[0])):
@@ -355,7 +355,7 @@ def _read(right: Array, v: Array, spin: Array) -> None:
         put(spin, (i,), load(right, (i, 3)))
 
 
-@inner
+@inlined
 def _drifted(x: Array, listed: Array) -> bool:
     """Whether some vertex has moved by DRIFT since pairs were listed."""
     for i in range(len(x)):

@@ -2,26 +2,40 @@
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.banded import backward, factor, forward
+from knotgym.rope.chain import banded, contact, dynamics, passage
 from knotgym.rope.chain.chain_simulation import physics_of
-from knotgym.rope.chain.contact import (
-    LISTED,
-    ROWS,
-    Pairs,
-    find_rows,
-    list_pairs,
-    middles,
-    push_apart,
-)
-from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents
+from knotgym.rope.chain.contact import LISTED, ROWS, Pairs
 from knotgym.rope.chain.layout import EDGE_I, EDGE_J, GAP, NORMAL, ON_I, ON_J
-from knotgym.rope.chain.passage import LEAP, judge
+from knotgym.rope.chain.passage import LEAP
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.model import Rope
 from knotgym.states import read_states, shipped
 
+# with the wrappers through which Python can call them
+assemble, set_lengths, tangents, factor, forward, backward = (
+    njit(one.py_func)
+    for one in (
+        dynamics.assemble,
+        dynamics.set_lengths,
+        dynamics.tangents,
+        banded.factor,
+        banded.forward,
+        banded.backward,
+    )
+)
+find_rows, list_pairs, middles, push_apart, judge = (
+    njit(one.py_func)
+    for one in (
+        contact.find_rows,
+        contact.list_pairs,
+        contact.middles,
+        contact.push_apart,
+        passage.judge,
+    )
+)
 pytestmark = pytest.mark.thorough  # compiles the solver's parts, which have no cache of their own
 
 Array = NDArray[np.float64]
@@ -57,9 +71,7 @@ def test_contact_forces_are_those_of_a_plain_gauss_seidel(rope: Rope, tangled: A
     side[:, 2] = 1.0
     side -= (side * tangent).sum(axis=1, keepdims=True) * tangent
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    system = tuple(
-        np.empty((*shape, LANES)) for shape in ((n, 10), (n, 16), (n, 12), (n, 12), (6,))
-    )
+    system = tuple(np.empty((*shape, LANES)) for shape in ((n + 1, 10), (n, 16), (n, 12), (n, 12)))
     right = np.empty((n + 1, 4, LANES))
     assemble(tangent, side, v, spin, np.zeros_like(x), step, physics, system, right)
     factor(system)
