@@ -208,11 +208,15 @@ def backward(system: System, right: Array) -> None:
         w2 = load(right, (k, 2)) * load(diag, (k, 5))
         w3 = load(right, (k, 3)) * load(diag, (k, 9))
         # rows below block k are known by now: the arrow's, then those of blocks k + 2 and k + 1
-        w = _less_rows((w0, w1, w2, w3), arrow, k, 3, right, n)
+        w = w0, w1, w2, w3
+        for r in range(3):
+            w = _less_row(w, arrow, k, r, load(right, (n, r)))
         if k + 2 < n:
-            w = _less_rows(w, far, k, 3, right, k + 2)
+            for r in range(3):
+                w = _less_row(w, far, k, r, load(right, (k + 2, r)))
         if k + 1 < n:
-            w = _less_rows(w, near, k, 4, right, k + 1)
+            for r in range(4):
+                w = _less_row(w, near, k, r, load(right, (k + 1, r)))
         w0, w1, w2, w3 = w
         # the transposed unit triangle of the pivot block, from its last row up
         w2 = fma(-load(diag, (k, 8)), w3, w2)
@@ -226,13 +230,11 @@ def backward(system: System, right: Array) -> None:
 
 
 @inner
-def _less_rows(w: Row, block: Array, k: int, rows: int, right: Array, below: int) -> Row:
-    """Return w - B^T x, B being the rows of a block of L in column k and x those of `below`."""
-    w0, w1, w2, w3 = w
-    for r in range(rows):
-        x = load(right, (below, r))
-        w0 = fma(-load(block, (k, 4 * r)), x, w0)
-        w1 = fma(-load(block, (k, 4 * r + 1)), x, w1)
-        w2 = fma(-load(block, (k, 4 * r + 2)), x, w2)
-        w3 = fma(-load(block, (k, 4 * r + 3)), x, w3)
-    return w0, w1, w2, w3
+def _less_row(w: Row, block: Array, k: int, r: int, x: Any) -> Row:
+    """Return w - b x, b being row r of a block of L in column k."""
+    return (
+        fma(-load(block, (k, 4 * r)), x, w[0]),
+        fma(-load(block, (k, 4 * r + 1)), x, w[1]),
+        fma(-load(block, (k, 4 * r + 2)), x, w[2]),
+        fma(-load(block, (k, 4 * r + 3)), x, w[3]),
+    )
