@@ -268,7 +268,7 @@ def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) 
 @inlined
 def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
     """Let lanes without a rope do what another does, and nobody looks; return if there is one."""
-    busy = np.int64(-1)  # a literal would be a type of its own, and `_copy` compiled twice
+    busy: Any = np.int64(-1)  # a literal would be a type of its own, and `_copy` compiled twice
     for lane in range(LANES):
         if clock[layout.ROPE, lane] >= 0:
             busy = lane
