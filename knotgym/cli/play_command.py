@@ -10,7 +10,7 @@ from knotgym.common import MissingExtra
 from knotgym.play import PageConfig
 
 
-@command({"": PageConfig}, "task.task task.nx policy port")
+@command({"": PageConfig}, "task.task task.nx policy.policy port")
 def play(given: Given, *, record: bool = False, id: str = "", out: Path | None = None) -> None:
     """Pull the rope by hand in a browser.
 

@@ -18,7 +18,6 @@ from .policies import register_policy as register_policy
 from .policies import training_card as training_card
 from .policy_config import PassPlannerConfig as PassPlannerConfig
 from .policy_config import PolicyConfig as PolicyConfig
-from .policy_config import PolicyName as PolicyName
 from .policy_config import PullPlannerConfig as PullPlannerConfig
 from .recorded_policy import replay as replay
 from .sampler import Player as Player

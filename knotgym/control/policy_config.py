@@ -11,12 +11,6 @@ from pydantic import NonNegativeInt, PositiveInt
 
 from knotgym.common import InvalidPolicy, Mark, Share, configuration
 
-PolicyName = Annotated[
-    str,
-    Mark("policy"),
-    # module:name is imported; recorded:DATASET is only read
-    Mark("typed", lambda name: ":" in str(name) and not str(name).startswith("recorded:")),
-]
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 _PLANNED = ("expert", "noisy", "play", "planner", "mixed")
 
@@ -64,7 +58,12 @@ class PolicyConfig:
         planner: settings of the planner.
     """
 
-    policy: PolicyName = "random"
+    policy: Annotated[
+        str,
+        Mark("policy"),
+        # module:name is imported; recorded:DATASET is only read
+        Mark("typed", lambda name: ":" in str(name) and not str(name).startswith("recorded:")),
+    ] = "random"
     noise: Share = 0.1
     shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
     expert: PassPlannerConfig = PassPlannerConfig()

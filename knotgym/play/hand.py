@@ -86,7 +86,7 @@ class HandTab:
         for label, key, wish in row:
             self._client.gui.add_button(label).on_click(self._wanting(wish))
             self._hotkey(label, key, wish)
-        self._auto = gui.add_checkbox(f"Let {self._config.policy} play", False)
+        self._auto = gui.add_checkbox(f"Let {self._config.policy.policy} play", False)
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown(_KEYS)
         for key, label, wish in (

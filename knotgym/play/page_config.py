@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from knotgym.common import Seed, configuration
-from knotgym.control import PolicyName
+from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.rope import CHAIN
 
@@ -17,13 +17,13 @@ class PageConfig:
     Attributes:
         task: the environment.
         seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
-        policy: policy that can take over, as in evaluate.
+        policy: which policy can take over, as in evaluate.
         player: who plays, in a few words; stored with what is recorded.
         port: port of the page, on the loopback.
     """
 
     task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
     seed: Seed = 0
-    policy: PolicyName = "expert"
+    policy: PolicyConfig = PolicyConfig(policy="expert")
     player: str = ""
     port: Annotated[int, Field(ge=0, le=65535)] = 8080

@@ -46,8 +46,10 @@ class Session:
 
     def __init__(self, task: TaskConfig, seed: int = 0, number: int = 0) -> None:
         self.task, self.seed, self.batch = task, seed, EpisodeBatch(task)
-        self._policies: dict[str, Policy] = {}
-        self._acting: tuple[str, Player] | None = None  # the policy that pulled last, if one did
+        self._policies: dict[PolicyConfig, Policy] = {}
+        self._acting: tuple[PolicyConfig, Player] | None = (
+            None  # the policy that pulled last, if one did
+        )
         self.begin(number)
 
     @property
@@ -117,7 +119,7 @@ class Session:
         for pull in kept:
             self._take(pull)
 
-    def let_act(self, policy: str) -> None:
+    def let_act(self, policy: PolicyConfig) -> None:
         """Let a policy pull once.
 
         Raises:
@@ -130,12 +132,12 @@ class Session:
         pulls = _thought(self._acting[1])
         self._take(HandPull(int(pulls.beads[0]), pulls.forces[0].copy(), helped=True))
 
-    def _player(self, name: str) -> Player:
-        if name not in self._policies:
-            made = make_policy(PolicyConfig(policy=name))
+    def _player(self, config: PolicyConfig) -> Player:
+        if config not in self._policies:
+            made = make_policy(config)
             made.compatible_task(self.task)
-            self._policies[name] = made
-        player = self._policies[name].player(self.batch)
+            self._policies[config] = made
+        player = self._policies[config].player(self.batch)
         player.begin(_ROPE, [Stream.POLICY.generator(self.episode_seed, len(self.pulls))])
         return player
 

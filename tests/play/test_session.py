@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy, Occupied
+from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
 from knotgym.envs import TaskConfig
 from knotgym.play.recorder import Recorder
@@ -73,7 +74,7 @@ def test_a_bead_is_led_to_a_point_and_left_there(session: Session) -> None:
 
 def test_an_unknown_policy_is_one_line(session: Session) -> None:
     with pytest.raises(InvalidPolicy, match="no policy 'nobody'"):
-        session.let_act("nobody")
+        session.let_act(PolicyConfig(policy="nobody"))
 
 
 def test_a_recording_is_a_dataset(session: Session, recorder: Recorder) -> None:
@@ -130,7 +131,7 @@ def test_an_episode_in_which_a_policy_pulled_is_never_stored(
     session: Session, tmp_path: Path
 ) -> None:
     session.pull(*PULLS[0])
-    session.let_act("random")
+    session.let_act(PolicyConfig(policy="random"))
     session.pull(*PULLS[1])
     session.undo()
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
