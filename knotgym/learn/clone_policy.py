@@ -242,12 +242,12 @@ def load_clone(folder: Path) -> ClonePolicy:
         InvalidFile: as in `load_network`, or it doesn't say whether the clone is guided.
     """
 
-    def make(tensors: dict[str, Tensor]) -> CloneNetwork:
+    def _make(tensors: dict[str, Tensor]) -> CloneNetwork:
         # sizes are those of the weights that are there, whatever the card says
         layers = len({name.split(".")[2] for name in tensors if name.startswith("body.layers.")})
         return CloneNetwork(len(tensors["codes.2.weight"]), layers)
 
-    network, _ = load_network(folder, CLONE, make)
+    network, _ = load_network(folder, CLONE, _make)
     config: Any = read_card(folder).get("config")
     guided = config.get("guided") if isinstance(config, dict) else None
     if not isinstance(guided, bool):

@@ -45,6 +45,15 @@ _ROUNDS = 20  # times that loose points are dropped, at most
 _BEND = 2.5  # cost of a turn of one radian, cells
 _SWERVE = 3.0  # cost of a link that doesn't point in the direction of both ends: share per radian^2
 
+# Pixels: pictures are brought to this side, as the network saw no other in training. At 1,024 it
+# reads 1 of 10 that it reads 10 of at 256; of 24 pictures drawn at 512 it reads 23, shrunk or not.
+SIDE = 256
+VIEWS = 8  # mirror images and quarter turns of a picture
+_LOOP = 6.0  # length of the smallest loop, cells
+_SHORT = 8  # points; fewer are no rope
+_CROWDED = 1200  # points; more aren't a rope's
+_BESIDE = [-2, -1, 0, 1, 2]  # points of the line that it reaches
+
 
 @njit(cache=True, nogil=True)
 def _ridge_points(lines: NDArray[np.float32]) -> Array:
@@ -246,16 +255,6 @@ def _at(lines: NDArray[np.float32], k: int, x: float, y: float) -> float:
                 weight = (dy if r else 1 - dy) * (dx if c else 1 - dx)
                 out += weight * lines[k, row + r, column + c]
     return out
-
-
-# Pixels: pictures are brought to this side, as the network saw no other in training. At 1,024 it
-# reads 1 of 10 that it reads 10 of at 256; of 24 pictures drawn at 512 it reads 23, shrunk or not.
-SIDE = 256
-VIEWS = 8  # mirror images and quarter turns of a picture
-_LOOP = 6.0  # length of the smallest loop, cells
-_SHORT = 8  # points; fewer are no rope
-_CROWDED = 1200  # points; more aren't a rope's
-_BESIDE = [-2, -1, 0, 1, 2]  # points of the line that it reaches
 
 
 class RopeReading(NamedTuple):

@@ -44,6 +44,27 @@ _NEAR = np.array([1.0, 0.7, 0.3])
 _MARGINS = (0.0, 0.015, 0.04, 0.12, 0.5)
 REACH = 2.0  # metres for which an action's coordinate of 1 stands
 
+# Values below were set by hand; no record says what others would score.
+# Errors of neighbouring beads are correlated, so BEADS residuals count as BEADS / 25 independent
+# ones: the log-likelihood is divided by this.
+_CORRELATION = 25.0
+# A prediction is given up for a new reading when redrawing it differs from the picture by this much
+# more than redrawing the reading does: mean absolute difference, grey levels.
+_DIVERGED = 0.5
+# Hypotheses whose heights differ by less than this count as the same one: root mean square, metres.
+_MERGED = 0.008
+# Only this many of the most likely hypotheses decide which bead was pulled and which code is shown.
+_CONSULTED = 2
+# Prior probability of a pulled bead that no position particle predicts.
+_SURPRISE = 0.0005
+# Hypotheses kept, at most; and extra ones per pull, each a kept one with perturbed heights, with
+# the standard deviation of that perturbation, metres.
+_KEPT, _VARIED, _WAVE = 24, 24, 0.008
+_FRESH = 0.05  # prior probability that all hypotheses are wrong and a new reading is better
+_BLUR = 0.003  # standard deviation between predicted and read bead positions, metres
+_READ_CODES = 30  # perturbed copies of a reading from which the codes it may stand for are counted
+MOST_IMAGINED = max(BEADS, _KEPT + _VARIED)  # ropes at once
+
 
 class PositionBelief:
     """Particles for the position of one rope's middle.
@@ -170,28 +191,6 @@ def _expected_worth(
             if off < len(near):
                 worth[t] += near[off]
     return worth / len(positions)
-
-
-# Values below were set by hand; no record says what others would score.
-# Errors of neighbouring beads are correlated, so BEADS residuals count as BEADS / 25 independent
-# ones: the log-likelihood is divided by this.
-_CORRELATION = 25.0
-# A prediction is given up for a new reading when redrawing it differs from the picture by this much
-# more than redrawing the reading does: mean absolute difference, grey levels.
-_DIVERGED = 0.5
-# Hypotheses whose heights differ by less than this count as the same one: root mean square, metres.
-_MERGED = 0.008
-# Only this many of the most likely hypotheses decide which bead was pulled and which code is shown.
-_CONSULTED = 2
-# Prior probability of a pulled bead that no position particle predicts.
-_SURPRISE = 0.0005
-# Hypotheses kept, at most; and extra ones per pull, each a kept one with perturbed heights, with
-# the standard deviation of that perturbation, metres.
-_KEPT, _VARIED, _WAVE = 24, 24, 0.008
-_FRESH = 0.05  # prior probability that all hypotheses are wrong and a new reading is better
-_BLUR = 0.003  # standard deviation between predicted and read bead positions, metres
-_READ_CODES = 30  # perturbed copies of a reading from which the codes it may stand for are counted
-MOST_IMAGINED = max(BEADS, _KEPT + _VARIED)  # ropes at once
 
 
 class ShapeHypotheses:

@@ -15,10 +15,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
@@ -167,54 +167,41 @@ def draw_curve(
         writer.writerow(("step", *names))
         writer.writerows([int(row[0]), *row[1:].round(5).tolist()] for row in rows)
     with atomic_write(out / "curve.png") as part:
-        part.write_bytes(cv2.imencode(".png", _plot(names, rows, kept)[..., ::-1])[1].tobytes())
+        _plot(names, rows, kept).save(part, "PNG")
 
 
-def _plot(names: tuple[str, str], rows: NDArray[np.float64], kept: int | None) -> NDArray[np.uint8]:
-    """Plot two losses against steps, with axes, ticks and a legend; return an RGB picture."""
-    width, height, left, right, top, bottom = 720, 420, 64, 24, 48, 52
-    black, grey, light, blue, orange = (
-        (0, 0, 0), (120, 120, 120), (225, 225, 225), (31, 119, 180), (255, 127, 14)
-    )  # fmt: skip
-    image = np.full((height, width, 3), 255, dtype=np.uint8)
-    scale = np.array([width - left - right, top + bottom - height]) / (
-        rows[-1, 0],
-        max(rows[:, 1:].max(), 1e-9),
-    )
+def _plot(names: tuple[str, str], rows: NDArray[np.float64], kept: int | None) -> Image.Image:
+    """Plot two losses against steps, with axes, ticks and a legend."""
+    width, height, left, right, top, bottom = 720, 420, 64, 696, 48, 368
+    image = Image.new("RGB", (width, height), "white")
+    draw = ImageDraw.Draw(image)
+    steps, most = float(rows[-1, 0]), max(float(rows[:, 1:].max()), 1e-9)
 
-    def at(step: float, loss: float) -> tuple[int, int]:
-        x, y = np.rint((step, loss) * scale + (left, height - bottom)).astype(int).tolist()
-        return x, y
+    def _at(step: float, loss: float) -> tuple[float, float]:
+        return left + step / steps * (right - left), bottom - loss / most * (bottom - top)
 
-    def write(text: str, x: float, y: float, share: float, ink: tuple[int, ...] = black) -> None:
-        """Write a text of which this share of the width lies left of x."""
-        size, _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
-        place = round(x - share * size[0]), round(y)
-        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, ink, 1, cv2.LINE_AA)
+    def _write(text: str, x: float, y: float, anchor: str) -> None:
+        draw.text((x, y), text, "black", anchor=anchor, font_size=13)
 
-    for tick in _ticks(rows[:, 1:].max()):
-        x, y = at(0, tick)
-        cv2.line(image, (x, y), at(rows[-1, 0], tick), light)
-        write(f"{tick:g}", x - 8, y + 5, 1)
-    for tick in _ticks(rows[-1, 0]):
-        x, y = at(tick, 0)
-        cv2.line(image, (x, y), (x, y + 5), black)
-        write(f"{tick:g}", x, y + 20, 0.5)
-    cv2.line(image, at(0, 0), at(rows[-1, 0], 0), black)
-    cv2.line(image, at(0, 0), (left, top), black)
-    write("loss", left, top - 10, 0.5)
-    write("optimizer step", left + 0.5 * (width - left - right), height - 10, 0.5)
-    legend = [(names[0], blue), (names[1], orange)]
+    for tick in _ticks(most):
+        draw.line([_at(0, tick), _at(steps, tick)], "#e1e1e1")
+        _write(f"{tick:g}", left - 8, _at(0, tick)[1], "rm")
+    for tick in _ticks(steps):
+        draw.line([_at(tick, 0), (_at(tick, 0)[0], bottom + 5)], "black")
+        _write(f"{tick:g}", _at(tick, 0)[0], bottom + 8, "mt")
+    draw.line([(left, top), (left, bottom), (right, bottom)], "black")
+    _write("loss", left, top - 8, "mb")
+    _write("optimizer step", (left + right) / 2, height - 8, "mb")
+    legend = [(names[0], "#1f77b4"), (names[1], "#ff7f0e")]
+    for column, (_, ink) in enumerate(legend, 1):
+        draw.line([_at(*point) for point in rows[:, [0, column]].tolist()], ink, 2)
     if kept is not None:
-        cv2.line(image, at(kept, 0), (at(kept, 0)[0], top), grey)
-        legend.append((f"kept weights: step {kept}", grey))
-    for column, (_, ink) in enumerate(legend[:2], 1):
-        line = np.array([at(*point) for point in rows[:, [0, column]].tolist()], dtype=np.int32)
-        cv2.polylines(image, [line], False, ink, 2, cv2.LINE_AA)
-    for k, (name, ink) in enumerate(legend):
-        x = left + 70 + 180 * k
-        cv2.line(image, (x, top - 15), (x + 24, top - 15), ink, 2)
-        write(name.replace("_", "-"), x + 32, top - 10, 0)
+        draw.line([_at(kept, 0), (_at(kept, 0)[0], top)], "#787878")
+        legend.append((f"kept weights: step {kept}", "#787878"))
+    for number, (name, ink) in enumerate(legend):
+        x = left + 70 + 180 * number
+        draw.line([(x, top - 15), (x + 24, top - 15)], ink, 2)
+        _write(name.replace("_", "-"), x + 32, top - 15, "lm")
     return image
 
 

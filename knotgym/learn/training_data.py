@@ -35,6 +35,17 @@ from knotgym.runs import Result
 from knotgym.states import CODE_SPLITS
 from knotgym.topology import CodeArrays, GaussCode, label
 
+TOGETHER = 250  # searches of one call
+_ROPES = 128  # that are searched in side by side
+# Of these only the budget has a measurement.
+_WANDER = 2  # random passes before a search, at most
+# A search that finds a way finds it early: at tie nx 3 one of budget 2,000 simulates 240 pulls on
+# average, most of them in searches that fail.
+_SEARCH = PassPlannerConfig(budget=500)
+_IN_VAIN, _ELSEWHERE = 4, 4  # passes of a search that are kept as such examples, at most
+_MOST_CROSSINGS = 6  # of a goal; the network sees no more
+Row = tuple[Array, GaussCode, Pass, bool]
+
 
 class TrainingData(NamedTuple):
     """States and pulls of all episodes, one after the other.
@@ -81,7 +92,7 @@ class Examples(NamedTuple):
         return np.count_nonzero(self.goal[:, :, 0], axis=1) // 2
 
 
-def examples(
+def _examples(
     points: NDArray[np.floating],
     goals: Sequence[GaussCode],
     macros: NDArray[np.int64],
@@ -128,7 +139,7 @@ def decisions_of(one: Episodes, first: int = 0) -> Examples:
     chosen = np.flatnonzero(steps["macro_start"] & passes)
     number = one.episode_of()[chosen]
     macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
-    return examples(
+    return _examples(
         steps["observation"][chosen],
         CodeArrays(np.asarray(episodes["goal_visits"][number], np.int16)).objects(),
         np.stack(macros, axis=1).astype(np.int64),
@@ -166,17 +177,6 @@ def require_trainable(task: TaskConfig, rope: str, episodes: Episodes, name: Any
         raise InvalidInput(f"{name} has ropes of {beads} beads; {BEADS} are needed")
 
 
-TOGETHER = 250  # searches of one call
-_ROPES = 128  # that are searched in side by side
-# Of these only the budget has a measurement.
-_WANDER = 2  # random passes before a search, at most
-# A search that finds a way finds it early: at tie nx 3 one of budget 2,000 simulates 240 pulls on
-# average, most of them in searches that fail.
-_SEARCH = PassPlannerConfig(budget=500)
-_IN_VAIN, _ELSEWHERE = 4, 4  # passes of a search that are kept as such examples, at most
-_MOST_CROSSINGS = 6  # of a goal; the network sees no more
-
-
 def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     """Search ways in some starts of a task; return the columns of `Examples`."""
     numbers = range(first, min(first + TOGETHER, config.demonstrations))
@@ -211,7 +211,7 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     ]
     # none where the order of the passes knows no way to any of the goals
     episodes, points, codes, macros, worked = zip(*rows, strict=True) if rows else ((),) * 5
-    return examples(
+    return _examples(
         np.array(points, dtype=np.float32).reshape(-1, setup.beads, 3),
         codes,
         np.array(macros, dtype=np.int64).reshape(-1, 3),
@@ -231,9 +231,6 @@ def _found(
             break
         state, points = landing.state, landing.points
     return (yield from PassSearch(values, goal, _SEARCH).run(state, points))
-
-
-Row = tuple[Array, GaussCode, Pass, bool]
 
 
 def _shown(

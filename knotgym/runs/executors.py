@@ -33,6 +33,11 @@ _IGNORED_WARNING = "ignore:resource_tracker:UserWarning"
 
 _SAFE_PATH = "PYTHONSAFEPATH"
 
+TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
+# Simulations are cached per process, and two threads of a worker must not share them.
+_one_at_a_time = threading.Lock()
+_PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
+
 
 class InProcess(Executor):
     """Execute calls in this process, when they are submitted."""
@@ -171,12 +176,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
-
-# Simulations are cached per process, and two threads of a worker must not share them.
-_one_at_a_time = threading.Lock()
-
-
 class _Cluster(Executor):
     """Dask's own executor; calls are made in the folder of the run, by the same version."""
 
@@ -247,9 +246,6 @@ def _call(
             os.chdir(folder)  # paths may be relative to the run's folder
         cv2.setNumThreads(1)
         return fn(*args, **kwargs)
-
-
-_PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
 
 
 def compile_first(

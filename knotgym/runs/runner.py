@@ -155,10 +155,10 @@ def run(
     began, shard = time.perf_counter(), options.shard
     with Progress(options.quiet) if progress is None else nullcontext(progress) as shown:
         if shard.is_whole and _is_finished(out, identity, options, identity_in):
-            if staging_folder(out).exists():  # it was killed after moving its output into place
+            if _staging_folder(out).exists():  # it was killed after moving its output into place
                 with staged(out, identity, options) as (folder, _):
                     remove(folder)
-            sweep(staging_folder(out))
+            sweep(_staging_folder(out))
             shown.say(f"{out} is finished already")
             return out
         free = partial(
@@ -218,7 +218,7 @@ def staged(
         InvalidFile, InvalidInput: as `Journal` raises.
     """
     path = shard.journal(out)
-    folder = staging_folder(out if shard.is_whole else path)
+    folder = _staging_folder(out if shard.is_whole else path)
     others = [other for other in _shard_journals(out) if other != path]
     path = folder / "journal" if shard.is_whole else path
     for one in (folder, path):
@@ -243,7 +243,7 @@ def staged(
             folder.rmdir()  # only if nobody has begun in it
 
 
-def staging_folder(out: Path) -> Path:
+def _staging_folder(out: Path) -> Path:
     """Return the folder `.NAME.partial` beside `out`, which holds a run until it is finished."""
     return out.parent / f".{out.name}.partial"
 
@@ -264,7 +264,7 @@ def _shard_journals(out: Path) -> list[Path]:
 
 def require_no_interrupted_run(out: Path, existing: Existing, shard: Shard = WHOLE) -> None:
     """Raise Occupied if an interrupted run left work, unless `existing` says what to do with it."""
-    path = staging_folder(out) / "journal" if shard.is_whole else shard.journal(out)
+    path = _staging_folder(out) / "journal" if shard.is_whole else shard.journal(out)
     if not (existing.resume or existing.restart) and has_work(path):
         raise Occupied(LEFT.format(path))
 
@@ -281,7 +281,7 @@ def _is_finished(
         InvalidInput: it is the output of another run, and `existing` doesn't overwrite it.
     """
     # A run that was interrupted while it replaced an older output isn't finished.
-    replaces = existing.overwrite and has_work(staging_folder(out) / "journal")
+    replaces = existing.overwrite and has_work(_staging_folder(out) / "journal")
     there = identity_of(out, identity_in) if existing.resume and not replaces else None
     if there is None:
         return False
@@ -334,9 +334,9 @@ def _shown_on(progress: Progress, count: Count | None) -> OnProgress:
     """Return what shows the progress of `compute`, with the sums of what `count` returns."""
     totals: Counter[str] = Counter()
 
-    def show(stage: str, done: int, total: int, result: Result | None) -> None:
+    def _show(stage: str, done: int, total: int, result: Result | None) -> None:
         if count is not None and result is not None:
             totals.update(count(result))
         progress.stage(stage, done, total, totals)
 
-    return show
+    return _show

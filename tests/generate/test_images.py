@@ -28,8 +28,8 @@ from knotgym.datasets import (
     shards,
     split,
 )
-from knotgym.generate.images.image_recipe import make_images
-from knotgym.generate.images.images_config import ImagesConfig, quotas
+from knotgym.generate.images.image_recipe import _quotas, make_images
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.loaders import images as load
 from knotgym.quality import Limits, grade_of, measure
 from knotgym.rendering import AppearanceConfig
@@ -246,7 +246,7 @@ def test_states_that_give_no_more_pictures_end_the_run(
 
 def test_quotas_add_up_and_hold_the_shares() -> None:
     config = ImagesConfig(nx=(0, 1, 2, 3, 4), count=1003)
-    wanted = quotas(config, {0: 1, 1: 2, 2: 8, 3: 46, 4: 344})
+    wanted = _quotas(config, {0: 1, 1: 2, 2: 8, 3: 46, 4: 344})
     assert sum(wanted.values()) == 1003
     assert {split for split, _ in wanted} == set(IMAGE_SPLITS)
     assert {nx for split, nx in wanted if split == "test-code"} == {2, 3}

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.generate.states.drawing_source import keep_duplicates_together, split
+from knotgym.generate.states.drawing_source import _keep_duplicates_together, _split
 from knotgym.states import read_states
 from knotgym.topology import GaussCode, codes_of
 
@@ -19,7 +19,7 @@ seeds = st.integers(0, 2**32)
 
 @given(kinds, shares, seeds)
 def test_the_train_share_is_met_within_one_state(drawn: list[int], share: float, seed: int) -> None:
-    out = split([EIGHT[k] for k in drawn], share, np.random.default_rng(seed))
+    out = _split([EIGHT[k] for k in drawn], share, np.random.default_rng(seed))
     assert set(out) <= {"train", "test"} and abs((out == "train").sum() - share * len(drawn)) <= 1
 
 
@@ -27,7 +27,7 @@ def test_the_train_share_is_met_within_one_state(drawn: list[int], share: float,
 def test_the_train_share_of_each_code_is_met_within_one_state(
     drawn: list[int], share: float, seed: int
 ) -> None:
-    out = split([EIGHT[k] for k in drawn], share, np.random.default_rng(seed))
+    out = _split([EIGHT[k] for k in drawn], share, np.random.default_rng(seed))
     for kind, count in Counter(drawn).items():
         train = sum(one == "train" for one, k in zip(out, drawn, strict=True) if k == kind)
         assert abs(train - share * count) <= 1
@@ -35,7 +35,7 @@ def test_the_train_share_of_each_code_is_met_within_one_state(
 
 def test_codes_with_chirality_are_split_as_the_code_they_show() -> None:
     both = [GaussCode((1, -1), "a"), GaussCode((1, -1), "c")] * 4
-    assert Counter(split(both, 0.5, np.random.default_rng(0))) == {"train": 4, "test": 4}
+    assert Counter(_split(both, 0.5, np.random.default_rng(0))) == {"train": 4, "test": 4}
 
 
 def test_near_duplicates_are_kept_in_one_split() -> None:
@@ -44,7 +44,7 @@ def test_near_duplicates_are_kept_in_one_split() -> None:
     assigned = np.array(["train", "test", "test", "train", "train", "test"])
     codes = [GaussCode()] * 3 + [GaussCode.parse("1+,1-")] * 3
     # the family goes to one split; of the others as many move as keep the sizes, if the nx allows
-    dealt = keep_duplicates_together(assigned, points, [GaussCode()] * 6)
+    dealt = _keep_duplicates_together(assigned, points, [GaussCode()] * 6)
     assert len(set(dealt[[1, 4, 5]])) == 1 and np.count_nonzero(dealt == "train") == 3
-    dealt = keep_duplicates_together(assigned, points, codes)
+    dealt = _keep_duplicates_together(assigned, points, codes)
     assert len(set(dealt[[1, 4, 5]])) == 1 and dealt[0] == dealt[2] != dealt[1]

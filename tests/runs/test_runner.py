@@ -27,7 +27,7 @@ from knotgym.control import PolicyConfig
 from knotgym.runs.identities import Identity, identity
 from knotgym.runs.journal import Journal
 from knotgym.runs.run_options import RunOptions, Shard
-from knotgym.runs.runner import Call, Recipe, compute, run, staging_folder
+from knotgym.runs.runner import Call, Recipe, _staging_folder, compute, run
 
 from ..scripts import ROOT
 from .recipes import RECIPES, drawn, made_toy, toy
@@ -74,7 +74,7 @@ def test_a_run_that_is_killed_again_and_again_makes_the_same_bytes(
     name: str, tmp_path: Path, unbroken: Unbroken
 ) -> None:
     out, rng, kills = tmp_path / name, random.Random(name), 0
-    journal = staging_folder(out) / "journal"
+    journal = _staging_folder(out) / "journal"
     command = [sys.executable, "-m", "tests.runs.recipes", name, str(out), "1"]
     size = 0
     for _ in range(KILLS + 1):
@@ -178,7 +178,7 @@ def test_what_is_finished_is_found_before_anything_is_computed(
     monkeypatch.setattr("tests.runs.recipes.drawn", None)
     with pytest.raises(Occupied, match="exists already; --overwrite replaces it"):
         made_toy(out, QUIET)
-    staging_folder(out).mkdir()  # as if killed after its output was in place
+    _staging_folder(out).mkdir()  # as if killed after its output was in place
     assert made_toy(out, RESUMED) == out
     assert list(tmp_path.iterdir()) == [out]
 
@@ -272,7 +272,7 @@ def test_of_several_that_begin_at_the_same_moment_one_makes_the_output(
 
 def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
-    staging_folder(tmp_path / "a").symlink_to(tmp_path / "other")
+    _staging_folder(tmp_path / "a").symlink_to(tmp_path / "other")
     with pytest.raises(Occupied, match="is a link"):
         made_toy(tmp_path / "a", QUIET)
     assert list((tmp_path / "other").iterdir()) == []

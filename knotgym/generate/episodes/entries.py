@@ -129,14 +129,14 @@ def write_entry(
         own: dict[str, NDArray[Any]] = {"length": lengths, "digest": digests(one)}
         rows.append(Table(ROWS, own))
         pulls.append(Table(PULLED, pulls_of(one)))
-    said = {
+    attributes = {
         "config": as_json(config),
         "states": states_digests(config),
         "rope": RopeConfig().fingerprint,
         "claimed": claimed,
     }
-    said["digest"] = _digest(said, rows, pulls)
-    write_tables(path, [rows, pulls], said, format=FORMAT, version=VERSION, pack=True)
+    attributes["digest"] = _digest(attributes, rows, pulls)
+    write_tables(path, [rows, pulls], attributes, format=FORMAT, version=VERSION, pack=True)
 
 
 def read_entry(path: Path) -> Entry | None:
@@ -147,19 +147,19 @@ def read_entry(path: Path) -> Entry | None:
     """
     if not (path.is_file() and format_of(path) == FORMAT):
         return None
-    (rows, pulls), said = read_tables(path, ROWS, PULLED, format=FORMAT, version=VERSION)
-    if said.pop("digest", None) != _digest(said, [rows], [pulls]):
+    (rows, pulls), attributes = read_tables(path, ROWS, PULLED, format=FORMAT, version=VERSION)
+    if attributes.pop("digest", None) != _digest(attributes, [rows], [pulls]):
         raise InvalidFile(f"{path}: its columns and attributes don't match its digest")
     try:
-        config = from_json(EvaluateConfig, said["config"])
-        states, claimed = states_digests(config), [dict(one) for one in said["claimed"]]
+        config = from_json(EvaluateConfig, attributes["config"])
+        states, claimed = states_digests(config), [dict(one) for one in attributes["claimed"]]
     except (KnotgymError, LookupError, TypeError, ValueError) as error:
         raise InvalidFile(f"{path} has no valid configuration: {one_line(error)}") from error
-    if said.get("states") != states:
+    if attributes.get("states") != states:
         raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
-    if said.get("rope") != RopeConfig().fingerprint:
+    if attributes.get("rope") != RopeConfig().fingerprint:
         raise InvalidFile(
-            f"{path} was played with rope model {said.get('rope')}, this version has"
+            f"{path} was played with rope model {attributes.get('rope')}, this version has"
             f" {RopeConfig().fingerprint}"
         )
     wanted, count = len([*config.setups()]) * config.episodes, int(rows["length"].sum())
@@ -194,6 +194,6 @@ def states_digests(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-def _digest(said: dict[str, Any], rows: Sequence[Table], pulls: Sequence[Table]) -> str:
-    text = json.dumps(said, sort_keys=True) + Table.digest(*rows) + Table.digest(*pulls)
+def _digest(attributes: dict[str, Any], rows: Sequence[Table], pulls: Sequence[Table]) -> str:
+    text = json.dumps(attributes, sort_keys=True) + Table.digest(*rows) + Table.digest(*pulls)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import NonNegativeInt, PositiveInt
@@ -120,8 +121,5 @@ class EvaluateConfig:
 
     def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
         """Yield every combination of policy and environment."""
-        for policy in self.policies:
-            for task in self.tasks:
-                for split in self.splits:
-                    for nx in self.nx:
-                        yield policy, replace(self.task, task=task, nx=nx, split=split)
+        for policy, task, split, nx in product(self.policies, self.tasks, self.splits, self.nx):
+            yield policy, replace(self.task, task=task, nx=nx, split=split)

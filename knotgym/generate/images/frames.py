@@ -36,6 +36,8 @@ from knotgym.topology import Symmetry, find_crossings, pyknotid_code
 
 SYMMETRIES = 12  # drawn for each frame
 
+Quota = tuple[str, int]  # split and nx
+
 
 class PicturedRope(NamedTuple):
     """A rope that is pulled.
@@ -71,13 +73,10 @@ def frames_of(
         `symmetries` int64 (m, SYMMETRIES, 4), which are the fields reflect, switch, reverse and
         base_shift, and `codes` str (m, SYMMETRIES), the Gauss code that each shows, or "-" if a
         crossing would be at the base bead. `camera` float64 (m, 2), tilt and heading, degrees.
-        `dropped` and `count`: why frames were dropped, and how
-        many.
+        `dropped` and `count`: why frames were dropped, and how many.
     """
-    rows: dict[str, list[Any]] = {
-        name: []
-        for name in ("points", "rope", "pulls", "nx", "ease", "symmetries", "codes", "camera")
-    }
+    names = "points rope pulls nx ease symmetries codes camera".split()
+    rows: dict[str, list[Any]] = {name: [] for name in names}
     look, sight = config.appearance, (0.0, 0.0)
     kind, drawer = APPEARANCES[look.name], Drawer.of(look.name)
     dropped: Counter[str] = Counter()
@@ -163,9 +162,6 @@ def _shown(points: Array, symmetry: Symmetry, config: ImagesConfig) -> str:
     crossings = find_crossings(moved)
     least = config.limits.base_spacing or 0.0
     return str(crossings.code) if base_spacing(moved, crossings) >= least else "-"
-
-
-Quota = tuple[str, int]  # split and nx
 
 
 class Chosen(NamedTuple):

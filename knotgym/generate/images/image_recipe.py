@@ -6,6 +6,7 @@ a time (`datasets.image_rows`). All frames of a rope are in one split.
 """
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from knotgym.common import Failed, InvalidInput, Stream
 from knotgym.datasets import PictureRow, arrow, drawn, drawn_table, finish_images, shard_name
 from knotgym.generate.images.frames import Chooser, PicturedRope, Quota, frames_of
-from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rope import RopeConfig
 from knotgym.runs import (
     Call,
@@ -121,8 +122,8 @@ class _Plan(NamedTuple):
             if not every:
                 raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
             codes[nx] = sorted({held_form(code, marked=config.marked) for code in every})
-        quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
-        return cls(quota, held_out(config, codes), states, _splits_of(config, states, set(quota)))
+        quota = _quotas(config, {nx: len(codes[nx]) for nx in codes})
+        return cls(quota, _held_out(config, codes), states, _splits_of(config, states, set(quota)))
 
 
 def _splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDArray[np.str_]:
@@ -143,6 +144,36 @@ def _splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDAr
             split[family == same[place]] = "test-nx" if nx > max(config.trained) else name
     split[states.nx == 0] = ""
     return split
+
+
+def _quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
+    """Return (split, nx) -> number of pictures.
+
+    Args:
+        config: of the pictures.
+        codes: nx -> number of codes that can be held out.
+    """
+    out: dict[tuple[str, int], int] = {}
+    for index, nx in enumerate(config.nx):
+        here = config.count // len(config.nx) + (index < config.count % len(config.nx))
+        if nx in config.held_nx:
+            out["test-nx", nx] = here
+            continue
+        new = round(config.code_share * here) if codes[nx] >= 4 else 0
+        test = round(config.test_share * here)
+        out.update({("train", nx): here - test - new, ("test", nx): test, ("test-code", nx): new})
+    return {key: wanted for key, wanted in out.items() if wanted}
+
+
+def _held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> frozenset[str]:
+    """Return the codes, as `states.held_form` gives them, held out for split "test-code"."""
+    out: list[str] = []
+    for nx in config.trained:
+        if len(codes[nx]) >= 4 and config.code_share > 0:
+            order = Stream.IMAGE_CODES.generator(config.seed, nx).permutation(len(codes[nx]))
+            count = max(1, round(config.code_share * len(codes[nx])))
+            out += [codes[nx][k] for k in order[:count].tolist()]
+    return frozenset(out)
 
 
 def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Path) -> Recipe[str]:

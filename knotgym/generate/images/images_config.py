@@ -1,11 +1,10 @@
-"""The configuration of `knotgym images`, with its quotas and held-out codes."""
+"""The configuration of `knotgym images`."""
 
-from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
-from knotgym.common import Distinct, InvalidInput, Seed, Share, Stream, configuration
+from knotgym.common import Distinct, InvalidInput, Seed, Share, configuration
 from knotgym.quality import UNAMBIGUOUS, Limits
 from knotgym.rendering import APPEARANCES, AppearanceConfig
 from knotgym.rope import MUJOCO, EngineName
@@ -107,33 +106,3 @@ class ImagesConfig:
         from knotgym.generate import picture_block  # through the door, as it imports this module
 
         return picture_block(self, number, count, seed)
-
-
-def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
-    """Return (split, nx) -> number of pictures.
-
-    Args:
-        config: of the pictures.
-        codes: nx -> number of codes that can be held out.
-    """
-    out: dict[tuple[str, int], int] = {}
-    for index, nx in enumerate(config.nx):
-        here = config.count // len(config.nx) + (index < config.count % len(config.nx))
-        if nx in config.held_nx:
-            out["test-nx", nx] = here
-            continue
-        new = round(config.code_share * here) if codes[nx] >= 4 else 0
-        test = round(config.test_share * here)
-        out.update({("train", nx): here - test - new, ("test", nx): test, ("test-code", nx): new})
-    return {key: wanted for key, wanted in out.items() if wanted}
-
-
-def held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> frozenset[str]:
-    """Return the codes, as `states.held_form` gives them, held out for split "test-code"."""
-    out: list[str] = []
-    for nx in config.trained:
-        if len(codes[nx]) >= 4 and config.code_share > 0:
-            order = Stream.IMAGE_CODES.generator(config.seed, nx).permutation(len(codes[nx]))
-            count = max(1, round(config.code_share * len(codes[nx])))
-            out += [codes[nx][k] for k in order[:count].tolist()]
-    return frozenset(out)

@@ -48,6 +48,24 @@ from knotgym.topology import (
 
 _RARE = 20_000  # random codes to try until one shows the knot
 
+# The first drawings of a code must differ from all other states under every symmetry. Codes that a
+# symmetry maps to each other have similar drawings, so later ones need only differ as they lie;
+# `_keep_duplicates_together` then puts such states into one split.
+UNLIKE_DRAWINGS = 3
+# Calls at once, at least, so that few workers wait for the last one. It doesn't depend on how many
+# there are, because states do depend on it.
+CALLS = 4
+_CODES = 4  # codes of a call, at most
+_COPIES = 10  # states of a code in a call, at most
+# Drawings of a call for each state, at most. It doesn't depend on `attempts`, so that a run can be
+# resumed with more of them.
+_DRAWINGS = 20
+_ONE = np.array([0])
+# Most random pulls that stir the rope laid along the curve, and the least and largest of their
+# forces, relative to the largest possible; with at most 1 crossing there is but one diagram, and so
+# only stirring makes states differ. Then pulls without force.
+_STIR, _LOOP_STIR, _REST = (2, 0.05, 0.3), (32, 0.05, 1.0), 3
+
 
 class WantedCodes:
     """The codes with one nx, by index.
@@ -116,26 +134,6 @@ class WantedCodes:
         raise InvalidInput(
             f"none of {_RARE} random codes with {self._nx} crossings shows {self._knot}"
         )
-
-
-# The first drawings of a code must differ from all other states under every symmetry. Codes that a
-# symmetry maps to each other have similar drawings, so later ones need only differ as they lie;
-# `keep_duplicates_together` then puts such states into one split.
-UNLIKE_DRAWINGS = 3
-
-# Calls at once, at least, so that few workers wait for the last one. It doesn't depend on how many
-# there are, because states do depend on it.
-CALLS = 4
-_CODES = 4  # codes of a call, at most
-_COPIES = 10  # states of a code in a call, at most
-# Drawings of a call for each state, at most. It doesn't depend on `attempts`, so that a run can be
-# resumed with more of them.
-_DRAWINGS = 20
-_ONE = np.array([0])
-# Most random pulls that stir the rope laid along the curve, and the least and largest of their
-# forces, relative to the largest possible; with at most 1 crossing there is but one diagram, and so
-# only stirring makes states differ. Then pulls without force.
-_STIR, _LOOP_STIR, _REST = (2, 0.05, 0.3), (32, 0.05, 1.0), 3
 
 
 class _Order(NamedTuple):
@@ -248,11 +246,11 @@ def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
     for nx in config.nx:
         own = np.flatnonzero(rows["nx"] == nx)
         rng = Stream.SPLIT.generator(config.seed, nx)
-        assigned[own] = split([codes[row] for row in own], config.train_share, rng)
-    return keep_duplicates_together(assigned, rows["points"], codes)
+        assigned[own] = _split([codes[row] for row in own], config.train_share, rng)
+    return _keep_duplicates_together(assigned, rows["points"], codes)
 
 
-def split(
+def _split(
     codes: Sequence[GaussCode], train_share: float, rng: np.random.Generator
 ) -> NDArray[np.str_]:
     """Assign states to "train" and "test", splitting the states of each code as evenly as possible.
@@ -281,7 +279,7 @@ def split(
     return assigned
 
 
-def keep_duplicates_together(
+def _keep_duplicates_together(
     assigned: NDArray[np.str_], points: NDArray[np.float64], codes: Sequence[GaussCode]
 ) -> NDArray[np.str_]:
     """Give near-duplicates one split, and keep the sizes of splits where that is possible.

@@ -40,6 +40,21 @@ _HEIGHTS, _ROUNDS = (1.0, 0.4, 0.15), (0, 1, 2, 4, 8, 16, 32, 64)
 _REST = 20  # actions without force
 _ONE = np.array([0])
 
+# Set by hand when pictures were relaxed, too; what other values gave was not recorded. A change
+# must keep every curve of tests/generate/test_imported_curves.py.
+_ITERATIONS = 20  # per round
+_REACH = 0.045  # distance in the picture within which strands repel each other, metres; nine pixels
+_APART = 5  # vertices fewer than this many beads apart along the rope don't repel each other
+_PUSH = 0.012  # largest repulsion per iteration, bead lengths, of strands at distance 0
+_BENDING = 0.03  # coefficient of the straightening step per iteration
+_CROSSING = 1.5  # distance in the picture within which two strands count as crossing, bead lengths
+_HEIGHT = 0.0125  # target difference in height between crossing strands, metres
+_LIFTING = 0.25  # fraction of the missing height by which each strand moves per iteration
+# Largest displacement of a vertex per iteration along each axis, bead lengths: 2 mm, well below the
+# rope's radius, so that strands can't jump each other.
+_MOST = 0.15
+_PASSES = 8  # projection sweeps over the beads per iteration
+
 
 def import_curves(paths: Sequence[str | Path]) -> tuple[States, list[str]]:
     """Lay the curves of files as states, in order of crossings, all in split train.
@@ -142,22 +157,6 @@ def _missed(fault: str, quality: Quality, limits: Limits) -> str:
     value, unit = getattr(quality, fault), Quality.UNITS[fault]
     value, unit = getattr(quality, fault), Quality.UNITS[fault]
     return f"{fault} is {value:.3g} {unit}, limit {getattr(limits, fault)}"
-
-
-# Set by hand when pictures were relaxed, too; what other values gave was not recorded. A change
-# must keep every curve of tests/generate/test_imported_curves.py.
-_ITERATIONS = 20  # per round
-_REACH = 0.045  # distance in the picture within which strands repel each other, metres; nine pixels
-_APART = 5  # vertices fewer than this many beads apart along the rope don't repel each other
-_PUSH = 0.012  # largest repulsion per iteration, bead lengths, of strands at distance 0
-_BENDING = 0.03  # coefficient of the straightening step per iteration
-_CROSSING = 1.5  # distance in the picture within which two strands count as crossing, bead lengths
-_HEIGHT = 0.0125  # target difference in height between crossing strands, metres
-_LIFTING = 0.25  # fraction of the missing height by which each strand moves per iteration
-# Largest displacement of a vertex per iteration along each axis, bead lengths: 2 mm, well below the
-# rope's radius, so that strands can't jump each other.
-_MOST = 0.15
-_PASSES = 8  # projection sweeps over the beads per iteration
 
 
 def _relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:

@@ -48,6 +48,12 @@ _SLOPE = 0.1  # most upward or downward part of a pull, in units of the largest 
 Ids = NDArray[np.int64]
 BeadsAndForces = tuple[NDArray[np.int64], NDArray[np.float32]]
 
+_CALLS = 4  # between two looks at what is still missing
+# A code may have this many times its even share of the states of an nx and split, and at least
+# _LEAST: common codes would crowd out the others.
+_UNEVEN, _LEAST = 1.6, 2
+_READABLE = "play"  # the source whose states are readable, and of many codes
+
 
 class _Frame(NamedTuple):
     """A rope as it lies after some pulls; its velocity isn't kept.
@@ -233,13 +239,6 @@ class _PhasePlayer(Player):
 
 def _rest(ids: Ids) -> BeadsAndForces:
     return np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3), dtype=np.float32)
-
-
-_CALLS = 4  # between two looks at what is still missing
-# A code may have this many times its even share of the states of an nx and split, and at least
-# _LEAST: common codes would crowd out the others.
-_UNEVEN, _LEAST = 1.6, 2
-_READABLE = "play"  # the source whose states are readable, and of many codes
 
 
 def rows_of_ropes(
