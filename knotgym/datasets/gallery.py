@@ -3,7 +3,7 @@
 import os
 from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
+from knotgym.datasets.image_table import decode, read_table
+from knotgym.datasets.located import Located
 from knotgym.rendering import Film, draw_diagram
 from knotgym.states import States, read_states
-
-if TYPE_CHECKING:
-    from knotgym.datasets.located import Located
 
 SHOWN = 64  # maximum number of episodes or pictures in a gallery
 _WHITE = (225, 225, 225)
@@ -64,11 +63,9 @@ def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     Path(path).write_bytes(bytes(data))
 
 
-def write_sheet(path: Path, found: "Located") -> str:
+def write_sheet(path: Path, found: Located) -> str:
     """Write the contact sheet of states, episodes or pictures; return a one-line summary."""
     if found.pictures:
-        from knotgym.datasets.image_table import read_table
-
         tiles, what = _picture_tiles(found.pictures), "pictures"
         count = len(read_table(found.pictures, columns=["nx"]))
     elif found.states:
@@ -131,8 +128,6 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 
 def _picture_tiles(table: str | os.PathLike[str]) -> list[Tile]:
     """Return a sample of SHOWN pictures of a perception table, even over splits and nx."""
-    from knotgym.datasets.image_table import decode, read_table  # here, as states need neither
-
     found = read_table(table, columns=["image", "gauss_code_chiral", "split", "nx"])
     rows = sample([*zip(found["split"].to_pylist(), found["nx"].to_pylist(), strict=True)])
     return [

@@ -21,6 +21,7 @@ from knotgym.datasets.image_table import (
     COLUMNS,
     arrow,
     encode,
+    header_of,
     marks_base,
     parquet,
     points_of,
@@ -28,7 +29,6 @@ from knotgym.datasets.image_table import (
     read_table,
     row_line,
     shards,
-    stored_digest,
     table_of,
 )
 from knotgym.datasets.manifest import listed_faults, read_manifest
@@ -155,7 +155,7 @@ def _shard_faults(path: Path) -> list[str]:
                 own = [f"it can't be rendered or measured: {one_line(error)}"]
             faults += [f"{path.name} row {n}: {fault}" for fault in own]
             now.update(row_line(row))
-        digest = stored_digest(path)
+        _, digest = header_of(path)
     except (InvalidFile, MissingFile) as error:
         return [str(error)]
     if digest != now.hexdigest():

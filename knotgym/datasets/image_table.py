@@ -253,12 +253,6 @@ def row_line(row: Mapping[str, Any]) -> bytes:
     return f"{line}\n".encode()
 
 
-def stored_digest(shard: Path) -> str:
-    """Return the `content_sha256` that a shard was written with, or "" if it has none."""
-    with _faults_named(shard):
-        return str(_named(_opened(shard)).get(_DIGEST, ""))
-
-
 def points_of(table: Any) -> NDArray[np.float64]:
     """Return the column `points` of a table as float64 (n, beads, 3), metres.
 
@@ -273,14 +267,15 @@ def points_of(table: Any) -> NDArray[np.float64]:
     return points
 
 
-def stored_columns(shard: Path) -> list[str]:
-    """Return the names of the columns of a shard.
+def header_of(shard: Path) -> tuple[list[str], str]:
+    """Return the names of the columns of a shard, and its `content_sha256`, "" if it has none.
 
     Raises:
         InvalidFile: it is truncated or no Parquet file.
     """
     with _faults_named(shard):
-        return [*_opened(shard).schema_arrow.names]
+        file = _opened(shard)
+        return [*file.schema_arrow.names], str(_named(file).get(_DIGEST, ""))
 
 
 def _read(path: Path, columns: list[str] | None) -> Any:

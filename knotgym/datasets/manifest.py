@@ -66,7 +66,7 @@ def write_manifest(
         request: what was asked for: configuration, sources, versions.
         report: the run's counts.
     """
-    found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*"))}
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     manifest = {
         "format": format,
         "format_version": 1,
@@ -74,9 +74,9 @@ def write_manifest(
         "report": report,
         "machines": [machine()],
         "files": {
-            name: sha256(path)
-            for name, path in found.items()
-            if path.is_file() and path.name != "manifest.json"
+            path.relative_to(folder).as_posix(): sha256(path)
+            for path in paths
+            if path.name != "manifest.json"
         },
     }
     with atomic_write(folder / "manifest.json") as temporary:

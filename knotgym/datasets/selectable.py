@@ -20,11 +20,11 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import (
     arrow,
     columns_among,
+    header_of,
     parquet,
     points_of,
     read_table,
     shards,
-    stored_columns,
 )
 from knotgym.datasets.located import locate, refuse_minaris_folder
 from knotgym.rope import Array
@@ -66,7 +66,7 @@ class StateRows:
 class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
-        stored = stored_columns(self.digested)
+        stored, _ = header_of(self.digested)
         known = columns_among(stored)
         wanted = [name for name in known if name in stored and known[name] != "image"]
         self.table, self.count = (table := read_table(path, columns=wanted)), len(table)

@@ -39,7 +39,7 @@ from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
 from knotgym.datasets.gallery import episode_tiles, state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 from knotgym.datasets.located import Located
-from knotgym.states import STATE_SPLITS, read_states
+from knotgym.states import STATE_SPLITS, States, read_states
 
 _OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't exported
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
@@ -78,25 +78,22 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     if source.pictures is not None:
         raise InvalidInput(f"{source.pictures} is ready to upload as it is: it has a card already")
     arrow()
+    states = None if source.states is None else read_states(source.states)
+    datasets = [columns_of(path) for path in source.episodes]
     rows, pages = dict[str, dict[str, int]](), dict[str, str]()  # by config, and split
-    for config, split, tables in _tables(source):
+    for config, split, tables in _tables(states, datasets):
         path = folder / f"data/{config}/{split}-00000-of-00001.parquet"
         count, page = _write_parquet(path, tables)
         if count:
             rows.setdefault(config, {})[split], pages[config] = count, page
     if not rows:
         raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
-    if source.states is not None:
-        tiles = state_tiles(read_states(source.states, images=False))
-    else:
-        tiles = episode_tiles(source.episodes)
+    tiles = episode_tiles(source.episodes) if states is None else state_tiles(states)
     write_gallery(folder / "gallery.png", tiles)
     write_text(folder / "CITATION.cff", citation_file(source.title))
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
-    datasets = [columns_of(path) for path in source.episodes]
     engines = [one.task.engine for one in datasets]
-    if source.states is not None:
-        engines.append(read_states(source.states, images=False).engine)
+    engines += [] if states is None else [states.engine]
     description = (
         f"{', '.join(f'{count} {config}' for config, count in counts.items())} of a closed rope"
         f" (engine {' and '.join(dict.fromkeys(engines))}), labelled with Gauss codes; made by"
@@ -121,14 +118,14 @@ def _facts(datasets: Sequence[EpisodeDataset]) -> str:
     return "\n".join(table(("", *(plain(one.name) for one in datasets)), rows))
 
 
-def _tables(source: Located) -> Iterator[tuple[str, str, Iterable[Table]]]:
+def _tables(
+    states: States | None, datasets: Sequence[EpisodeDataset]
+) -> Iterator[tuple[str, str, Iterable[Table]]]:
     """Yield config, split and tables of each Parquet file."""
-    if source.states is not None:
-        states = read_states(source.states)
+    if states is not None:
         for split in STATE_SPLITS:
             part = states.take(np.flatnonzero(states.split == split)).table
             yield "states", split, [part] if part.rows else []
-    datasets = [columns_of(path) for path in source.episodes]
     if len({one.task.engine for one in datasets}) > 1:
         raise InvalidInput(
             "trajectories exported together must be of one engine; export those of each engine by"
