@@ -331,6 +331,12 @@ def main() -> None:
     parser.add_argument("--root", type=Path, default=ROOT, help="folder of README.md and docs")
     given = parser.parse_args()
     rows = [row for path in sorted(given.entries.glob("*.h5")) for row in rows_of(path)]
+    played = [
+        (*row[:3], row.result.task, row.result.nx, *row.result.outcomes.values()) for row in rows
+    ]
+    for k, one in enumerate(played):
+        if one in played[:k]:
+            sys.exit(f"two entries of {one[0]}, {one[3]} nx {one[4]}, hold the same episodes")
     made = {
         "docs/benchmark.md": page(rows),
         "docs/profile.svg": profile(grid(rows)),

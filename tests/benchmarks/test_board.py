@@ -32,7 +32,11 @@ def test_a_stranger_s_policy_is_entered_by_the_page(
     pytest.importorskip("scipy")
     (tmp_path / "docs").mkdir()
     shutil.copy(ROOT / "README.md", tmp_path)
-    folders = ("--entries", tmp_path / "benchmarks" / "entries", "--root", tmp_path)
+    entries = tmp_path / "benchmarks" / "entries"
+    folders = ("--entries", entries, "--root", tmp_path)
     run_script(ROOT / "benchmarks" / "results.py", *folders)
     assert "| farthest bead | 1 |" in (tmp_path / "docs" / "benchmark.md").read_text()
     run_script(ROOT / "benchmarks" / "results.py", *folders, "--check")
+    shutil.copy(entries / "mine.h5", entries / "again.h5")  # no second seed
+    with pytest.raises(SystemExit, match="two entries of farthest bead, tie nx 2, hold the same"):
+        run_script(ROOT / "benchmarks" / "results.py", *folders)
