@@ -111,7 +111,8 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
     size = view.size
     numbers = "finite numbers in [-1, 1]" if view.counts is None else "whole numbers"
     wanted = f"policy {name} must give {size} {numbers} for an episode"
-    if not (isinstance(actions, np.ndarray) and actions.dtype == np.float32):
+    checked = isinstance(actions, np.ndarray) and actions.dtype == np.float32
+    if not (checked and actions.shape[1:] == (size,)):
         try:
             # one by one, so that a message can show the action that is wrong
             rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]

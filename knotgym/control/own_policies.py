@@ -50,7 +50,7 @@ def own_policy(given: Any, name: str) -> SimplePolicy:
     """
     reset_takes: int | None = None
     if inspect.isclass(given):
-        with _user_code(name):
+        with user_code(name):
             given = given()
     if callable(getattr(given, "act", None)) and callable(getattr(given, "reset", None)):
         takes, reset_takes = _takes(given.act, (3, 1)), _takes(given.reset, (1, 0))
@@ -80,7 +80,7 @@ class _OwnPlayer(ActionPlayer):
         super().begin(ids, rngs)
         if self._reset_takes is not None:
             for index in ids.tolist():
-                with _user_code(self.name):
+                with user_code(self.name):
                     self._own[index] = copy.deepcopy(self._given)
                     self._own[index].reset(*[self.rngs[index]][: self._reset_takes])
 
@@ -92,7 +92,7 @@ class _OwnPlayer(ActionPlayer):
             seen = [batch.observation(index)]
             if self._takes > 1:
                 seen += [*batch.info_rows(np.array([index])), self.rngs[index]]
-            with _user_code(self.name):
+            with user_code(self.name):
                 # copied at once, as the next call may return the same array
                 actions.append(copy.deepcopy(function(*seen)))
         return actions
@@ -106,7 +106,7 @@ class _RowPlayer(ActionPlayer):
         self._given = given
 
     def choose(self, ids: Ids) -> Any:
-        with _user_code(self.name):
+        with user_code(self.name):
             return self._given.actions(self.batch.observations(ids))
 
 
@@ -115,16 +115,16 @@ class _GuardedPlayer(Player):
 
     def __init__(self, name: str, given: Policy, batch: EpisodeBatch) -> None:
         self._name = name
-        with _user_code(name):
+        with user_code(name):
             self._player = given.player(batch)
             self.planned = self._player.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
-        with _user_code(self._name):
+        with user_code(self._name):
             self._player.begin(ids, rngs)
 
     def act(self, ids: Ids) -> Pulls:
-        with _user_code(self._name):
+        with user_code(self._name):
             return self._player.act(ids)
 
 
@@ -157,7 +157,7 @@ def _load(config: PolicyConfig) -> Policy:
         return own_policy(given, name)
 
     def compatible_task(task: TaskConfig) -> TaskConfig:
-        with _user_code(name):
+        with user_code(name):
             found: TaskConfig = given.compatible_task(task)
         return found
 
@@ -172,7 +172,7 @@ def _files(name: str) -> dict[str, Path]:
     """
     module = name.partition(":")[0]
     top = module.partition(".")[0]
-    with _user_code(name), _current_folder(top):
+    with user_code(name), _current_folder(top):
         spec = importlib.util.find_spec(top)
         read = [Path(file) for file in getattr(importlib.import_module(module), "FILES", ())]
     found = {path.name: path for path in read}
@@ -193,7 +193,7 @@ def _card(name: str) -> dict[str, Any] | None:
         InvalidPolicy: it isn't a dictionary of JSON's values, or importing the module fails.
     """
     module = name.partition(":")[0]
-    with _user_code(name), _current_folder(module.partition(".")[0]):
+    with user_code(name), _current_folder(module.partition(".")[0]):
         card = getattr(importlib.import_module(module), "CARD", None)
     try:
         found: Any = json.loads(json.dumps(card, allow_nan=False))
@@ -219,7 +219,7 @@ def _current_folder(package: str) -> Iterator[None]:
 
 
 @contextmanager
-def _user_code(name: str) -> Iterator[None]:
+def user_code(name: str) -> Iterator[None]:
     """Run user code; re-raise what it raises, even by `sys.exit`, as InvalidPolicy."""
     try:
         yield

@@ -27,7 +27,7 @@ from typing import Any
 
 from knotgym.common import InvalidPolicy, one_line, require_regular
 from knotgym.control.basic_policies import RandomPlayer
-from knotgym.control.own_policies import OWN_CODE, own_policy
+from knotgym.control.own_policies import OWN_CODE, own_policy, user_code
 from knotgym.control.planning.pass_policies import (
     MixedPlayer,
     NoisyPlayer,
@@ -68,9 +68,11 @@ def make_policy(config: PolicyConfig) -> Policy:
     """Make the policy of a configuration.
 
     Raises:
-        InvalidPolicy: the function or file doesn't exist, or its library isn't installed.
+        InvalidPolicy: the function or file doesn't exist, its library isn't installed, or what
+            makes the policy raises anything else, SystemExit included.
     """
-    return _family(config.policy).make(config)
+    with user_code(config.policy):
+        return _family(config.policy).make(config)
 
 
 def policy_files(config: PolicyConfig) -> dict[str, Path]:

@@ -45,17 +45,22 @@ class RowPolicy:
     def _of_block(self, observations: NDArray[Any]) -> NDArray[Any]:
         # copied, because the model may change what it gets and return the same array again
         found = np.array(self.predict(observations.copy()))
-        rest = 4 * LONGEST  # all but a position, which the likeliest bead's takes
-        if self.action != "decision" or found.ndim != 2 or found.shape[1] <= 3 + rest:
+        if found.shape[:1] != (_BLOCK,):
+            raise InvalidPolicy(
+                f"a model must return a row for each observation: {_BLOCK} gave {found.shape}"
+            )
+        if self.action != "decision" or found.ndim != 3:
             return found
-        beads = found[:, :-rest].argmax(axis=1)
         if self.observation == "marked":
             points = Marked.split(observations).points
         else:
             points = observations.reshape(len(observations), 2, -1, 3)[:, 0]
             points = points - points.mean(axis=1, keepdims=True)
-        places = points[np.arange(len(beads)), beads] / NEAR
-        decided = np.concatenate([places, found[:, -rest:]], axis=1)
+        wanted = (points.shape[1], 1 + 4 * LONGEST)
+        if found.shape[1:] != wanted:
+            raise InvalidPolicy(f"decisions of each bead are {wanted}, got {found.shape[1:]}")
+        rows, beads = np.arange(len(found)), found[..., 0].argmax(axis=1)
+        decided = np.hstack([points[rows, beads] / NEAR, found[rows, beads, 1:]])
         return decided.clip(-1, 1).astype(np.float32)
 
 
@@ -73,8 +78,8 @@ def as_policy(
 
     Args:
         model: a function from observations, an array (n, ...), to actions (n, ...); or a torch
-            module, or an ONNX session. A decision may begin with a number for each bead, of which
-            the largest is pulled, instead of a position: (n, beads + 40).
+            module, or an ONNX session. Decisions may be rows for each bead, (n, beads, 41): a
+            number, the largest of which says which bead is pulled, and the decision's last 40.
         action, frame, observation: as of `arrays`, when the model's data were loaded.
 
     Raises:

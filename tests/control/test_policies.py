@@ -388,6 +388,15 @@ def test_a_registered_policy_is_made_by_its_name(
         policy_files(PolicyConfig(policy="restless"))
 
 
+def test_a_registered_constructor_that_exits_is_an_invalid_policy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    leaving = PolicyFamily(form="leaving", make=lambda config: sys.exit(3), files=lambda n: {})
+    monkeypatch.setitem(policies._table, "leaving", leaving)
+    with pytest.raises(InvalidPolicy, match="policy leaving raised SystemExit: 3 .test_policies"):
+        make_policy(PolicyConfig(policy="leaving"))
+
+
 @pytest.mark.parametrize(("name", "tables"), [("expert", 2), ("planner", 2), ("random", 0)])
 def test_digests_are_of_the_planners_tables(name: str, tables: int) -> None:
     assert len(policy_files(PolicyConfig(policy=name))) == tables

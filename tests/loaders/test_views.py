@@ -58,7 +58,9 @@ def test_a_bead_may_be_chosen_by_logits(played_back: Any) -> None:
 
     def remember(seen: np.ndarray) -> Any:
         row = nearest(data["observations"], seen)
-        return np.hstack([np.eye(100)[data["beads"][row]], data["actions"][row, 3:]])
+        rows = np.zeros((len(row), 100, 41))
+        rows[np.arange(len(row)), data["beads"][row]] = np.insert(data["actions"][row, 3:], 0, 1, 1)
+        return rows
 
     found = played_back(as_policy(remember)).steps
     assert np.array_equal(found["bead"], open_episodes(TINY["expert"]).episodes.steps["bead"])
@@ -150,3 +152,8 @@ def test_what_is_no_model_or_acts_wrongly_is_one_line(played_back: Any) -> None:
         as_policy(len, action="decisions")
     with pytest.raises(InvalidPolicy, match="must give 43 finite numbers in"):
         played_back(as_policy(lambda seen: np.zeros((len(seen), 6))))
+    for shape in ((32, 6), (32, 7, 41), (32, 100, 6)):
+        with pytest.raises(InvalidPolicy, match="give 43 finite|of each bead are .100, 41"):
+            played_back(as_policy(lambda seen: np.zeros(shape, np.float32)))
+    with pytest.raises(InvalidPolicy, match=r"a row for each observation: 32 gave \(1, 43\)"):
+        played_back(as_policy(lambda seen: np.zeros((1, 43))))
