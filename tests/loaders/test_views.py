@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -153,7 +154,8 @@ def test_what_is_no_model_or_acts_wrongly_is_one_line(played_back: Any) -> None:
     with pytest.raises(InvalidPolicy, match="must give 43 finite numbers in"):
         played_back(as_policy(lambda seen: np.zeros((len(seen), 6))))
     for shape in ((32, 6), (32, 7, 41), (32, 100, 6)):
+        rows = np.zeros(shape, np.float32)
         with pytest.raises(InvalidPolicy, match="give 43 finite|of each bead are .100, 41"):
-            played_back(as_policy(lambda seen: np.zeros(shape, np.float32)))
+            played_back(as_policy(partial(lambda rows, seen: rows, rows)))
     with pytest.raises(InvalidPolicy, match=r"a row for each observation: 32 gave \(1, 43\)"):
         played_back(as_policy(lambda seen: np.zeros((1, 43))))
