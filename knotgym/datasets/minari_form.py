@@ -69,6 +69,7 @@ _COUNTED = ("dataset_size", "minari_version", "requirements")  # of the machine 
 # A chunk of pictures is a strip: a few pixel rows of eight consecutive frames, which differ little.
 # In a strip the same rows of the previous frame lie within gzip's window of 32 kB.
 _STRIP_FRAMES, _STRIP_BYTES = 8, 12288
+_PACKED_BYTES = 4096  # smaller arrays aren't compressed
 _METADATA_BYTES = 1 << 16  # of the file that headers are gathered in, so that writes are few
 
 
@@ -396,11 +397,17 @@ def _write_array(group: h5g.GroupID, name: bytes, array: NDArray[Any]) -> None:
     if array.dtype.kind == "U":
         texts = np.strings.encode(array, "utf-8")
         array = texts.astype(h5py.string_dtype("utf-8", max(1, texts.dtype.itemsize)))
-    made, chunks = _CONTIGUOUS, ()
+    made = _CONTIGUOUS
     if array.dtype == np.uint8:
         rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
-        made, chunks = _properties(), (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
-        made.set_chunk(chunks)
+        made = _properties()
+        made.set_chunk((min(len(array), _STRIP_FRAMES), rows, *array.shape[2:]))
+        made.set_deflate(1)
+    elif array.nbytes >= _PACKED_BYTES:
+        # with bytes of the same weight side by side, and goals that repeat, vertices halve
+        made = _properties()
+        made.set_chunk(array.shape)
+        made.set_shuffle()
         made.set_deflate(1)
     space = h5s.create_simple(array.shape)
     stored = h5d.create(group, name, _type(array.dtype), space, made)
