@@ -181,7 +181,7 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
         d3rlpy.dataset.InfiniteBuffer(),
         episodes=episodes,
         action_space=d3rlpy.ActionSpace.CONTINUOUS,
-        action_size=episodes[0].action_size,
+        action_size=episodes[0].actions.shape[1],
     )
 
 
