@@ -32,8 +32,8 @@ SETUPS = list(product(SUITE["tasks"], SUITE["nx"]))
 BENCH = ("bench", "test", True, False)
 # rows of README's table: how they begin, and the learner and the track of their entry
 SHOWN = {
-    "| A | random actions ": ("random", BENCH),
-    "| A | `expert`": ("expert", BENCH),
+    "| `bench`, chain | random actions ": ("random", BENCH),
+    "| | `expert`": ("expert", BENCH),
 }
 MOST = 16  # rows that are named of each cell
 NO_LEARNERS = ("random", "scripted", "expert")

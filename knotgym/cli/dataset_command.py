@@ -94,7 +94,8 @@ def merge(
         knotgym dataset merge knotgym/a-v0 knotgym/b-v0 --id knotgym/both-v0
 
     Args:
-        sources: State files or their folders; or episodes of one task.
+        sources: State files or their folders; or episodes that were played alike, whose tasks and
+            numbers of crossings may differ.
         out: File to write; with --id the Minari root, Minari's own by default.
         id: Write episodes as a Minari dataset with this id.
     """

@@ -8,7 +8,7 @@ from knotgym.cli.options import Given, command
 
 @command({}, "run.overwrite")
 def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
-    """Film the expert tying a knot diagram, in about 20 seconds.
+    """Film the expert tying a knot diagram; takes seconds, a minute on the first run.
 
     Writes an observation, a film and an HTML page.
 

@@ -18,7 +18,7 @@ from knotgym.common import Failed, KnotgymError, one_line
 # A command's module is imported when the command is typed. Its summary is also the first line of
 # its docstring; a test compares them.
 COMMANDS = {
-    "demo": "Film the expert tying a knot diagram, in about 20 seconds.",
+    "demo": "Film the expert tying a knot diagram; takes seconds, a minute on the first run.",
     "generate": "Generate rope states with train and test splits, and demonstrations of their"
     " Gauss codes.",
     "collect": "Roll out a policy and write its episodes as a Minari dataset.",
@@ -40,7 +40,8 @@ _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _RESUMABLE = {"generate", "collect", "suite", "train", "evaluate", "images", "prompt"}
 _KEPT = (
-    "finished work, if any, is in .NAME.partial beside it: --resume continues, --restart deletes it"
+    "finished work, if any, is kept in the hidden folder .NAME.partial beside the output NAME: run"
+    " the same command with --resume to go on, or with --restart to delete it and begin again"
 )
 _OURS = (
     "this is a bug in knotgym: please report it, with the traceback above, in the repository's"

@@ -72,8 +72,9 @@ def test_an_interrupted_run_names_resume_and_where_its_work_is(
     monkeypatch.setattr("knotgym.generate.evaluate", stopped)
     assert knotgym("evaluate") == 130
     assert capfd.readouterr().err == (
-        "knotgym: interrupted before all output was written; finished work, if any, is in"
-        " .NAME.partial beside it: --resume continues, --restart deletes it\n"
+        "knotgym: interrupted before all output was written; finished work, if any, is"
+        " kept in the hidden folder .NAME.partial beside the output NAME: run the same command"
+        " with --resume to go on, or with --restart to delete it and begin again\n"
     )
 
 
