@@ -161,7 +161,7 @@ def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> 
 ELSEWHERE = {
     "data.md": "images(",  # below, with pictures
     "images.md": "read_rows(",
-    "offline-rl.md": "# recipe",  # by tests/examples/test_learners.py
+    "recipes.md": "# recipe",  # by tests/examples/test_learners.py
 }
 
 

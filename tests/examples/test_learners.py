@@ -1,4 +1,4 @@
-"""Learners and recipes of docs/offline-rl.md train and are evaluated; needs -m clients."""
+"""Learners and recipes of docs/recipes.md train and are evaluated; needs -m clients."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..scripts import ROOT, run_script
 from ..small_job import knotgym
 
 FOLDER = ROOT / "examples" / "learners"
-PAGE = (ROOT / "docs/offline-rl.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/recipes.md").read_text(encoding="utf-8")
 ID = "knotgym/tie-nx2/noisy-bench-v0"
 pytestmark = pytest.mark.clients
 

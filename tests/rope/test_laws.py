@@ -2,7 +2,7 @@
 
     pytest -m thorough -s tests/rope/test_laws.py
 
-prints what docs/laws.md shows. The chain engine's scheme is first order in the substep h
+prints what docs/exact.md shows. The chain engine's scheme is first order in the substep h
 (`dynamics`), so a balance that holds for exact motion is off by c h; halving h must halve what is
 missing.
 """
