@@ -40,7 +40,7 @@ from knotgym.rendering.photo_painting import (
     painted,
     projected,
 )
-from knotgym.rendering.variation import Appearance, Drawer, Drawn
+from knotgym.rendering.variation import Appearance, Camera, Drawer, Drawn, Rng
 from knotgym.topology import Symmetry, canonical
 
 Array = NDArray[Any]
@@ -53,9 +53,7 @@ class PhotoDrawer(Drawer):
 
     look, struct = Photo, "photo"
 
-    def seen(
-        self, points: Array, config: AppearanceConfig, rng: np.random.Generator
-    ) -> tuple[Array, tuple[float, float]]:
+    def seen(self, points: Array, config: AppearanceConfig, rng: Rng) -> tuple[Array, Camera]:
         camera = _drawn_camera(rng, config.tilt)
         return tilted(points, *camera), camera
 
@@ -66,11 +64,7 @@ class PhotoDrawer(Drawer):
         return _with_answers(take(points, look))
 
     def sampled(
-        self,
-        points: Array,
-        config: AppearanceConfig,
-        rng: np.random.Generator,
-        camera: tuple[float, float] = (0.0, 0.0),
+        self, points: Array, config: AppearanceConfig, rng: Rng, camera: Camera = (0.0, 0.0)
     ) -> Drawn:
         size = config.sides[int(rng.integers(len(config.sides)))]
         marked = bool(rng.random() < config.marked)
@@ -104,12 +98,7 @@ def _with_answers(shot: Shot) -> Drawn:
 
 
 def photograph(
-    points: Array,
-    size: int,
-    rng: np.random.Generator,
-    *,
-    tilt: float = TILT,
-    marked: bool | None = None,
+    points: Array, size: int, rng: Rng, *, tilt: float = TILT, marked: bool | None = None
 ) -> Shot | None:
     """Draw a camera and an appearance until the picture is legible.
 
@@ -133,7 +122,7 @@ def photograph(
 
 
 def _drawn_photo(
-    points: Array, size: int, rng: np.random.Generator, tilt: float, heading: float, *, marked: bool
+    points: Array, size: int, rng: Rng, tilt: float, heading: float, *, marked: bool
 ) -> Shot:
     """Draw a photo of points in the camera's axes that `_clearest` shows to be legible.
 
@@ -160,7 +149,7 @@ def _clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0)
     return take(points, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
 
 
-def _drawn_camera(rng: np.random.Generator, tilt: float = TILT) -> tuple[float, float]:
+def _drawn_camera(rng: Rng, tilt: float = TILT) -> Camera:
     """Draw tilt and heading, degrees, evenly over the directions up to a tilt."""
     # the area of a cap is proportional to its height (Archimedes), so an even cosine is an even
     # direction
@@ -216,7 +205,7 @@ def _episode_look(points: Array, size: int, number: int) -> Photo:
 
 
 def _drawn(
-    rope: PhotoRope, size: int, rng: np.random.Generator, tilt: float, heading: float,
+    rope: PhotoRope, size: int, rng: Rng, tilt: float, heading: float,
     marked: bool | None
 ) -> Shot | None:  # fmt: skip
     """Draw frame and appearance of one view; None if it isn't legible."""
@@ -275,7 +264,7 @@ def _framed(
     return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame)
 
 
-def _coloured(look: Photo, view: PhotoView, ground: Array, rng: np.random.Generator) -> Photo:
+def _coloured(look: Photo, view: PhotoView, ground: Array, rng: Rng) -> Photo:
     """Choose the first of 24 colours that stands out from the ground beside the rope, or the best.
 
     The ground is in the light on one side, in the rope's shadow on the other.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rendering.camera import DEFAULT, RGB
-from knotgym.rendering.variation import Appearance
+from knotgym.rendering.variation import Appearance, Rng
 
 Array = NDArray[Any]
 
@@ -117,7 +117,7 @@ class Photo(Appearance):
         return DEFAULT.rope_radius * self.width * self.scale
 
 
-def drawn_look(look: Photo, rng: np.random.Generator) -> Photo:
+def drawn_look(look: Photo, rng: Rng) -> Photo:
     """Draw everything but the frame and the rope's colours."""
     # The order of the draws is part of every photo: a new one belongs at the end.
     kind = _BACKGROUNDS[rng.integers(len(_BACKGROUNDS))]
@@ -133,31 +133,25 @@ def drawn_look(look: Photo, rng: np.random.Generator) -> Photo:
     grains = {"cloth": (2.5, 6.0), "wood": (5.0, 14.0), "gradient": (256, 256), "noise": (8, 60)}
     # the upper end is excluded: 2 to 8 things, 1 to 4 ropes
     count = {"clutter": (2, 9), "ropes": (1, 5)}
-    return replace(
-        look,
-        background=levels_of(first),
-        ground=levels_of(last),
-        surface=surface,
-        grain=float(rng.uniform(*grains[surface])),
-        grain_turn=float(rng.uniform(0, 360)),
-        clutter=int(rng.integers(*count["clutter"])) if kind == "clutter" else 0,
-        others=int(rng.integers(*count["ropes"])) if kind == "ropes" else 0,
-        occluders=int(rng.integers(1, 3)) if rng.random() < 0.25 else 0,
-        twisted=bool(rng.random() < 0.5),
-        pitch=float(rng.uniform(2.4, 4.5)),
-        gloss=float(rng.uniform(0, 0.35)),
-        light_turn=float(rng.uniform(0, 360)),
-        light_height=float(rng.uniform(35, 75)),
-        ambient=float(rng.uniform(0.35, 0.65)),
-        shadow=float(rng.uniform(0.6, 0.9)),
-        falloff=float(rng.uniform(0, 0.35)),
-        warmth=float(rng.uniform(-0.12, 0.18)),
-        exposure=float(rng.uniform(0.8, 1.15)),
-        blur=float(rng.uniform(0, 0.9)) * look.size / 256,
-        noise=float(rng.uniform(0, 8)),
-        jpeg=int(rng.integers(45, 101)),
-        seed=int(rng.integers(2**62)),
+
+    def _drawn(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    look = replace(look, background=levels_of(first), ground=levels_of(last), surface=surface)
+    look = replace(look, grain=_drawn(*grains[surface]), grain_turn=_drawn(0, 360))
+    clutter = int(rng.integers(*count["clutter"])) if kind == "clutter" else 0
+    others = int(rng.integers(*count["ropes"])) if kind == "ropes" else 0
+    occluders = int(rng.integers(1, 3)) if rng.random() < 0.25 else 0
+    look = replace(look, clutter=clutter, others=others, occluders=occluders)
+    twisted = bool(rng.random() < 0.5)
+    look = replace(look, twisted=twisted, pitch=_drawn(2.4, 4.5), gloss=_drawn(0, 0.35))
+    look = replace(look, light_turn=_drawn(0, 360), light_height=_drawn(35, 75))
+    look = replace(
+        look, ambient=_drawn(0.35, 0.65), shadow=_drawn(0.6, 0.9), falloff=_drawn(0, 0.35)
     )
+    look = replace(look, warmth=_drawn(-0.12, 0.18), exposure=_drawn(0.8, 1.15))
+    look = replace(look, blur=_drawn(0, 0.9) * look.size / 256, noise=_drawn(0, 8))
+    return replace(look, jpeg=int(rng.integers(45, 101)), seed=int(rng.integers(2**62)))
 
 
 def light_of(look: Photo) -> Array:
@@ -168,7 +162,7 @@ def light_of(look: Photo) -> Array:
     return np.array([flat * math.cos(turn), flat * math.sin(turn), math.sin(height)])
 
 
-def drawn_dyes(rng: np.random.Generator, count: int) -> Array:
+def drawn_dyes(rng: Rng, count: int) -> Array:
     """Draw RGB colours of ropes (count, 3), none so dark that it hides shadows and edges."""
     natural = rng.random(count) < 0.45  # hemp, cotton, sisal, nylon
     hue = np.array(_DYES)[rng.integers(len(_DYES), size=count)] + rng.uniform(-12, 12, count)

@@ -30,6 +30,7 @@ from knotgym.rendering.photo_look import (
     low_of,
 )
 from knotgym.rendering.picture import strand_spacing
+from knotgym.rendering.variation import Rng
 from knotgym.topology import Crossings, find_crossings
 
 Array = NDArray[Any]
@@ -186,7 +187,7 @@ def projected(offset: Array, turn: float, scale: float) -> Array:
     return np.stack([c * x + s * y, s * x - c * y, scale * z], axis=1)
 
 
-def ground_of(look: Photo, rng: np.random.Generator) -> tuple[Array, Array]:
+def ground_of(look: Photo, rng: Rng) -> tuple[Array, Array]:
     """Paint the surface with its clutter; return the random texture of all patterns, too."""
     # drawn for gradients too, so that what follows is the same on every surface
     texture = rng.random((64, 64), dtype=np.float32)
@@ -219,7 +220,7 @@ def ground_of(look: Photo, rng: np.random.Generator) -> tuple[Array, Array]:
 
 def _lay(
     picture: Array, look: Photo, middles: Array, reach: Array, colours: Array,
-    rng: np.random.Generator
+    rng: Rng
 ) -> Array:  # fmt: skip
     """Lay polygons and discs on a picture; return where they are, uint8 (size, size)."""
     sides, outlines = 12, np.empty((len(middles), 13, 3), np.float32)
@@ -243,7 +244,7 @@ def _lay(
 
 def painted(
     rope: PhotoRope, view: PhotoView, look: Photo, region: float, texture: Array, picture: Array,
-    rng: np.random.Generator
+    rng: Rng
 ) -> Shot:  # fmt: skip
     """Paint the rope and what lies beside and on it on the ground, and measure the picture."""
     n, strands = len(view.curve), np.zeros(picture.shape[:2], np.uint8)
@@ -298,7 +299,7 @@ def exposed(picture: Array, look: Photo) -> Array:
 
 
 def _with_others(
-    view: PhotoView, look: Photo, colours: Array, rng: np.random.Generator
+    view: PhotoView, look: Photo, colours: Array, rng: Rng
 ) -> tuple[Array, Array, Array]:
     """Lay pieces of other ropes that come in from the picture's edge and touch nothing."""
     curve, after, size = view.curve, view.after, look.size
@@ -332,7 +333,7 @@ def _with_others(
     return curve, after, colours
 
 
-def _occlude(view: PhotoView, look: Photo, picture: Array, rng: np.random.Generator) -> Array:
+def _occlude(view: PhotoView, look: Photo, picture: Array, rng: Rng) -> Array:
     """Lay things on single straight strands; return where they are."""
     flat, n, chosen = view.curve[:, :2], len(view.curve), list[tuple[int, float]]()
     # eight places are tried for each thing; if none is fit, there are fewer

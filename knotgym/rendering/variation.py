@@ -15,7 +15,7 @@ the published one, and crossings lie where it says.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pkgutil import resolve_name
 from typing import Any, ClassVar
 
@@ -31,6 +31,8 @@ from knotgym.rendering.picture import draw
 from knotgym.topology import find_crossings
 
 Array = NDArray[np.float64]
+Rng = np.random.Generator
+Camera = tuple[float, float]  # tilt and heading, degrees
 
 _LINE = 2.0  # half the width of a line drawing's line, pixels of a picture of its usual size
 _MARGIN = 2.0  # smallest distance of a zoomed rope from the edge, pixels of a 128-pixel picture
@@ -126,9 +128,7 @@ class Drawer:
         drawer: Drawer = resolve_name(APPEARANCES[name].drawer)(name)
         return drawer
 
-    def seen(
-        self, points: Array, config: AppearanceConfig, rng: np.random.Generator
-    ) -> tuple[Array, tuple[float, float]]:
+    def seen(self, points: Array, config: AppearanceConfig, rng: Rng) -> tuple[Array, Camera]:
         """Draw the camera of a table's picture; return points (n, 3) in its axes, and it.
 
         A camera is its tilt and its heading, degrees.
@@ -147,11 +147,7 @@ class Drawer:
         return Drawn(self.image(points, look), look, pixels)
 
     def sampled(
-        self,
-        points: Array,
-        config: AppearanceConfig,
-        rng: np.random.Generator,
-        camera: tuple[float, float] = (0.0, 0.0),
+        self, points: Array, config: AppearanceConfig, rng: Rng, camera: Camera = (0.0, 0.0)
     ) -> Drawn:
         """Draw a picture of a table with an appearance drawn at random.
 
@@ -163,9 +159,7 @@ class Drawer:
         """
         return self.drawn(points, self._drawn_look(points, config, rng))
 
-    def _drawn_look(
-        self, points: Array, config: AppearanceConfig, rng: np.random.Generator
-    ) -> Appearance:
+    def _drawn_look(self, points: Array, config: AppearanceConfig, rng: Rng) -> Appearance:
         """Sample an appearance for a rope."""
         # The order of the draws is part of every table: a new one belongs at the end.
         vary, plain = set(config.vary), Appearance()
@@ -192,20 +186,11 @@ class Drawer:
             last = _rgb(dark)
         noise = float(rng.uniform(0, config.noise)) if "noise" in vary else 0.0
         blur = float(rng.uniform(0, config.blur)) * size / plain.size if "blur" in vary else 0.0
-        return self.look(
-            name=self.name,
-            size=size,
-            turn=turn,
-            zoom=zoom,
-            width=width,
-            colours=kind,
-            first=first if kind != "published" and "colours" in vary else plain.first,
-            last=last,
-            background=background,
-            noise=noise,
-            blur=blur,
-            seed=int(rng.integers(2**62)) if noise else 0,
-        )
+        look = self.look(name=self.name, size=size, turn=turn, zoom=zoom, width=width)
+        look = replace(look, colours=kind, last=last, background=background, noise=noise, blur=blur)
+        if kind != "published" and "colours" in vary:
+            look = replace(look, first=first)
+        return replace(look, seed=int(rng.integers(2**62))) if noise else look
 
     def _framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
         """Return the factor on the rope's width, and the zoom where it doesn't vary."""
