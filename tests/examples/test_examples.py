@@ -26,7 +26,6 @@ from ..scripts import ROOT, run_script
 FOLDER = ROOT / "examples"
 SCRIPTS = [
     FOLDER / "to_lerobot.py",
-    FOLDER / "learners" / "offline_rl.py",
     FOLDER / "learners" / "offline_torch.py",
     FOLDER / "learners" / "online_ppo.py",
     FOLDER / "perception" / "photos.py",

@@ -82,17 +82,6 @@ def test_a_recipe_of_the_page_trains_and_plays(
     check_plays("model", monkeypatch)
 
 
-@pytest.mark.parametrize("learner", ["BC", "TD3PlusBC", "IQL", "AWAC"])
-def test_a_learner_of_d3rlpy_trains_and_plays(
-    learner: str, room: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("d3rlpy")
-    out = room / f"of_{learner.lower()}.d3"
-    words = ("--steps", 2, "--batch", 4, "--out", out)
-    run_script(FOLDER / "offline_rl.py", learner, ID, *words)
-    check_plays(out.stem, monkeypatch)
-
-
 @pytest.mark.parametrize(
     "learner", ["DiscreteBC", "BC", "GCBC", "Flow", "IQL", "TD3BC", "GCIVL", "CRL"]
 )
