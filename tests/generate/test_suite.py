@@ -102,6 +102,16 @@ def test_a_set_whose_other_columns_were_changed_is_not_the_same(
     assert _describe_set(tmp_path / "expert-v0")["recorded"].startswith("differs from")
 
 
+def test_a_set_that_was_changed_with_its_digest_is_not_the_same(made: Path, tmp_path: Path) -> None:
+    data = tmp_path / "expert-v0" / "data"
+    data.mkdir(parents=True)
+    source = open_episodes(made / ID.format("expert"))
+    steps = source.episodes.steps
+    forged = Episodes(source.episodes.episodes, steps.replaced(reward=steps["reward"] + 1))
+    write_episodes(data / "episodes.h5", [forged], source.task, source.facts)
+    assert _describe_set(tmp_path / "expert-v0")["recorded"].startswith("differs when played again")
+
+
 def test_finished_sets_are_kept_and_the_missing_ones_made(made: Path, tmp_path: Path) -> None:
     with pytest.raises(Occupied, match="exists already"):
         make_suite(PART, made, QUIET)
