@@ -10,7 +10,7 @@
 
 The files are written here, because Minari would store pictures as JPEG and drop seeds and options
 when datasets are combined. Pictures are rendered from the vertices. Our own readers use neither
-file; `faults` compares both with the columns.
+file; `minari_faults` compares both with the columns.
 """
 
 import copy

@@ -42,7 +42,7 @@ def select(
         source: a state file, the folder of a run, an included set, a folder or file of pictures, an
             episode file, or the folder or id of a Minari dataset.
         out: the new file.
-        where: a condition on the columns, see `conditions`; "" for all rows.
+        where: a condition on the columns in SQL, see this module; "" for all rows.
         sample: keep this many of them, drawn at random; their order stays.
         seed: of the draw.
         overwrite: replace what is there.
