@@ -96,6 +96,14 @@ def test_a_collection_that_is_killed_ends_with_the_same_bytes(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+def test_commands_at_once_leave_one_output_and_a_changed_byte_is_found(tmp_path: Path) -> None:
+    told = figures("together", tmp_path, "--kinds", "select", "--rounds", 1)["select"]
+    assert told["rounds"] == 1 and told["faults"] == []
+    told = figures("damage", tmp_path, "--kinds", "columns", "--changes", 2)["columns"]
+    assert told["bytes"] > 0 and told["faults"] == []
+
+
+@pytest.mark.slow
 def test_the_strand_on_top_is_the_one_labelled_over(tmp_path: Path) -> None:
     for picture, shown in figures("truth", tmp_path, "--states", 20)["crossings"].items():
         # where a pixel is as wide as the rope, one crossing in fifty shows the lower strand
