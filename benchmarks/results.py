@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import bootstrap, kendalltau, mannwhitneyu, trim_mean
 from seeds import CELLS, CHANGES, LEARNERS, ORDERED, SEEDS
 
 from knotgym.common import atomic_write
@@ -131,16 +130,21 @@ def grid(rows: Sequence[Row]) -> dict[str, Floats]:
 
 def better(first: Floats, second: Floats) -> float:
     """The probability of improvement: that a seed of the first beats one of the second."""
+    from scipy.stats import mannwhitneyu  # here, as --help needs no SciPy
+
     return float(mannwhitneyu(first, second).statistic / (len(first) * len(second)))
 
 
 def iqm(*cells: Floats, axis: int = -1) -> Any:
     """The mean of the middle half of all seeds of all cells."""
+    from scipy.stats import trim_mean
+
     return trim_mean(np.concatenate(cells, axis=axis), 0.25, axis=axis)
 
 
 def agreement(rates: Floats) -> tuple[float, float]:
     """Kendall's tau of the learners' order, on average: of two seeds, and of two halves."""
+    from scipy.stats import kendalltau
 
     def tau(one: Sequence[int], other: Sequence[int]) -> float:
         means = (rates[:, list(own)].mean(axis=1) for own in (one, other))
@@ -180,6 +184,8 @@ def expected(cells: dict[str, Floats]) -> Iterator[tuple[str, str, str]]:
 
 def five_seeds(cells: dict[str, Floats]) -> Iterator[str]:
     """Learners with several trainings: what is more than chance."""
+    from scipy.stats import bootstrap
+
     if not cells:
         return
     for name, trained in cells.items():

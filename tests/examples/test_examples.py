@@ -27,7 +27,6 @@ FOLDER = ROOT / "examples"
 SCRIPTS = [
     FOLDER / "to_lerobot.py",
     FOLDER / "learners" / "offline_torch.py",
-    FOLDER / "learners" / "online_ppo.py",
     FOLDER / "perception" / "photos.py",
     FOLDER / "perception" / "read.py",
     FOLDER / "perception" / "trace.py",

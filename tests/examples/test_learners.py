@@ -42,16 +42,6 @@ def check_plays(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert json.loads(Path("scores.json").read_text())["episodes"] == 2
 
 
-def test_ppo_in_one_file_trains_and_acts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch")
-    task = ("--task", "unknot", "--nx", 2)
-    few = ("--envs", 2, "--rollout", 4, "--batch", 4, "--epochs", 1, "--steps", 16)
-    run_script(FOLDER / "online_ppo.py", *task, *few, "--out", tmp_path / "ppo.pt")
-    monkeypatch.chdir(tmp_path)
-    words = ("--policy", "ppo:act", "--engine", "chain", "--episodes", 1, "--set", "task.horizon=3")
-    assert knotgym("evaluate", *task, *words, "--workers", 1, "--quiet") == 0
-
-
 def recipes() -> dict[str, tuple[str, str]]:
     """Return the two files of each recipe of the page, by library; TorchRL's model is torch's."""
     found, model = dict[str, tuple[str, str]](), ""
