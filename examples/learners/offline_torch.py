@@ -42,8 +42,8 @@ network = torch.jit.load(FILES[0]).eval()
 @torch.inference_mode()
 def predict(observations):
     found = network(torch.from_numpy(observations))
-    found[:, -43:] = found[:, -43:].clamp(-1, 1)
-    return found.numpy()
+    # of each bead there is a score, too, which has no bounds
+    return (found.clamp(-1, 1) if found.ndim == 2 else found).numpy()
 
 
 act = as_policy(predict)
@@ -112,8 +112,24 @@ class GCBC(BC):
     sets = ("reached",)
 
 
+class OfEachBead(nn.Module):
+    """A score of each bead, and the last numbers of a decision, the same for all."""
+
+    def __init__(self, actor: Network) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def forward(self, seen: Tensor) -> Tensor:
+        scores, pulls = self.actor(seen).split([100, 40], 1)
+        return torch.cat([scores[:, :, None], pulls[:, None].expand(-1, 100, -1)], 2)
+
+
 class DiscreteBC(BC):
     outputs = BEADS + DECISION - 3
+
+    def __init__(self, data: Batch) -> None:
+        super().__init__(data)
+        self.policy = OfEachBead(self.actor)
 
     def loss(self, *batches: Batch) -> Tensor:
         (batch,) = batches
