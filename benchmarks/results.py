@@ -30,10 +30,7 @@ ENTRIES, TEXT = ROOT / "benchmarks" / "entries", ROOT / "benchmarks" / "page.md"
 SETUPS = list(product(SUITE["tasks"], SUITE["nx"]))
 BENCH = ("bench", "test", True, False)
 # rows of README's table: how they begin, and the learner and the track of their entry
-SHOWN = {
-    "| `bench`, chain | random actions ": ("random", BENCH),
-    "| | `expert`": ("expert", BENCH),
-}
+SHOWN = {"| `bench`, chain | random actions ": ("random", BENCH), "| | `expert`": ("expert", BENCH)}
 MOST = 16  # rows that are named of each cell
 NO_LEARNERS = ("random", "scripted", "expert")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#999999")

@@ -75,7 +75,7 @@ def test_an_import_round_a_door_is_found(tmp_path: Path) -> None:
 
 def sources() -> list[Path]:
     """Python files and pages of the checkout."""
-    beside = ("baselines", "benchmarks", "docs", "examples", "knotgym", "tests")
+    beside = ("benchmarks", "docs", "examples", "knotgym", "tests")
     files = [path for folder in beside for path in (ROOT / folder).rglob("*.py")]
     return [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *files]
 
