@@ -82,14 +82,16 @@ def over_seeds(found: Sequence[Result]) -> tuple[float, float, float]:
 
 def boards(rows: Sequence[Row]) -> Iterator[str]:
     """A table for each set of states, split, engine and kind of action."""
-    head = ("learner", "seeds", *(f"{task} {nx}" for task, nx in SETUPS))
     for track in sorted({row.track for row in rows}):
         states, split, in_chain, in_macros = track
         body: list[tuple[object, ...]] = []
         own = [row for row in rows if row.track == track]
+        played = {(row.result.task, row.result.nx) for row in own}
+        setups = [setup for setup in SETUPS if setup in played]
+        head = ("learner", "seeds", *(f"{task} {nx}" for task, nx in setups))
         for learner, tier in sorted({(row.learner, row.tier) for row in own}):
             mine = [row.result for row in own if (row.learner, row.tier) == (learner, tier)]
-            cells = [[one for one in mine if (one.task, one.nx) == setup] for setup in SETUPS]
+            cells = [[one for one in mine if (one.task, one.nx) == setup] for setup in setups]
             shown = [
                 "**{:.1f}** ({:.0f} to {:.0f})".format(*(100 * one for one in over_seeds(cell)))
                 if cell

@@ -10,7 +10,7 @@ import pytest
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym
 
-PAGE = (ROOT / "docs" / "board.md").read_text(encoding="utf-8")
+PAGE = re.sub(r" \\\n +", " ", (ROOT / "docs" / "board.md").read_text(encoding="utf-8"))
 
 
 @pytest.mark.thorough
