@@ -77,6 +77,9 @@ class DataStream:
         self._held = dict[int, Transitions | Pictures]()
         self.batch_of(0)  # refuses what can't be opened before a worker does
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_held": {}}  # another process makes its own blocks
+
     def batch_of(self, number: int) -> dict[str, Any]:
         """Return one batch, as `Transitions.batch` does, whatever was returned before."""
         turn, place = divmod(number, self._shuffled * self._repeats)

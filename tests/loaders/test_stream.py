@@ -84,7 +84,8 @@ def test_a_stream_goes_on_where_another_was() -> None:
         again = made()
         again.load_state_dict(state)
         assert same(next(iter(again)), whole[k + 1])
-    # another iterator of the same stream goes on, too
+    # a copy in another process, and another iterator of the same stream, go on, too
+    assert same(next(iter(pickle.loads(pickle.dumps(first)))), whole[2])
     assert same(next(iter(first)), whole[2])
     with pytest.raises(InvalidInput, match="had seed 3, this one has 4"):
         stream(CONFIG, 4, **SMALL).load_state_dict(first.state_dict())
@@ -161,6 +162,7 @@ def test_workers_give_the_batches_of_a_single_process(workers: int) -> None:
     from torch.utils.data import DataLoader
 
     right = [*islice(made(), 5)]
-    loader = DataLoader(made(), batch_size=None, num_workers=workers)
+    start = "spawn" if workers == 1 else "fork"
+    loader = DataLoader(made(), batch_size=None, num_workers=workers, multiprocessing_context=start)
     for batch, wanted in zip(islice(loader, 5), right, strict=True):
         assert same(batch, wanted)
