@@ -175,7 +175,7 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> 
     os.kill(run.pid, signal.SIGTERM)
     _, error = run.communicate(timeout=SECONDS)
     assert run.returncode == 130 and error.startswith("knotgym: interrupted before all output ")
-    assert len(error.splitlines()) == 1 and "--resume continues, --restart deletes it" in error
+    assert len(error.splitlines()) == 1 and "--resume to go on, or with --restart" in error
     # without any work done, not even the staging folder is left
     assert {path.name for path in tmp_path.iterdir()} <= {".a.partial"}
 
