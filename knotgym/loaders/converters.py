@@ -150,7 +150,8 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
-        InvalidInput: there is a window, or the action is neither "pull" nor "decision".
+        InvalidInput: there is a window, the action is neither "pull" nor "decision", or there are
+            no transitions.
     """
     d3rlpy = _import_client("d3rlpy")
     if opening.get("window") is not None:
@@ -161,6 +162,8 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
             "d3rlpy has no actions of several whole numbers: use action 'pull' or 'decision', got"
             f" {transitions.action!r}"
         )
+    if not len(transitions):
+        raise InvalidInput(f"{transitions.dataset.path} has no transitions for d3rlpy")
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
