@@ -176,7 +176,8 @@ def _rename_to_free(part: Path, target: Path) -> None:
     try:
         os.link(part, target)  # unlike a rename, it fails if there is a file
     except OSError as error:
-        if error.errno not in (errno.EPERM, errno.ENOTSUP):  # a file system without links
+        # a file system without links
+        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS):
             raise
         part.rename(target)
     else:

@@ -218,7 +218,7 @@ class Chooser:
         """Choose or refuse a frame; return whether it is chosen.
 
         Args:
-            frames: as `frames.frames_of` returns them.
+            frames: as `frames_of` returns them.
             row: which of them.
             split: that its rope is of.
         """
