@@ -138,9 +138,7 @@ if __name__ == "__main__":
 def test_killed_trainings_see_the_batches_of_an_unbroken_one(tmp_path: Path, workers: int) -> None:
     pytest.importorskip("torchdata")
     kills, count, rng = int(os.environ.get("KILLS", "2")), 12, random.Random(workers)
-    program = tmp_path / "training.py"
-    program.write_text(TRAINING)
-    command = [sys.executable, str(program), str(tmp_path), str(workers)]
+    command = [sys.executable, "-c", TRAINING, str(tmp_path), str(workers)]
     for kill in range(kills):
         wanted = (kill + 1) * count // (kills + 1)
         child = subprocess.Popen([*command, str(count)], start_new_session=True)
