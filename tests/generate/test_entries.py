@@ -1,7 +1,7 @@
 """An entry is its pulls: what is counted again is what was counted, and forgeries are refused."""
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +73,13 @@ def test_an_entry_claims_what_the_module_of_its_policy_says(
     assert knotgym("evaluate", "--policy", "wrong:act", *words[2:], "--record", "w.h5") == 2
 
 
-def test_a_step_takes_at_most_sixteen_bytes(made: Made) -> None:
-    pulls, fixed = entry_at(made[0]).pulls.rows, 16_000  # what HDF5 takes for a file's structure
-    assert made[0].stat().st_size < 16 * pulls + fixed
+@pytest.mark.parametrize(("policy", "most"), [("random", 16), ("scripted", 5)])
+def test_a_step_takes_few_bytes(tmp_path: Path, policy: str, most: int) -> None:
+    config = replace(CONFIG, policies=(PolicyConfig(policy=policy),), episodes=32)
+    evaluate(config, RunOptions(workers=1, quiet=True), record=tmp_path / "entry.h5")
+    pulls, fixed = entry_at(tmp_path / "entry.h5").pulls.rows, 16_000  # HDF5's own structures
+    assert (tmp_path / "entry.h5").stat().st_size < most * pulls + fixed
+    assert not rows_of(tmp_path / "entry.h5")[1]
 
 
 def test_the_command_verifies_an_entry(made: Made, capsys: pytest.CaptureFixture[str]) -> None:

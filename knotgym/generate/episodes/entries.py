@@ -6,7 +6,7 @@ again, and successes, steps and interval are recounted. What no replay can prove
 policy and not a search chose the pulls, is shown as claimed.
 
     episodes    one row an episode, setup after setup: pulls, digest
-    steps       one row a pull: bead and force
+    steps       one row a pull: bead and force, in bins if all are quantized
     config      attribute: of the evaluation, with its seed
     states      attribute: digests of the sets that starts and goals are from
     rope        attribute: fingerprint of the rope model
@@ -46,9 +46,15 @@ from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.recordings import DIGEST, digests, episodes_with, pulls_of
+from knotgym.generate.episodes.recordings import (
+    DIGEST,
+    digests,
+    episodes_with,
+    force_bins,
+    pulls_of,
+)
 from knotgym.generate.episodes.results import Result, show
-from knotgym.rope import MUJOCO, RopeConfig
+from knotgym.rope import FORCE_BINS, MUJOCO, RopeConfig, quantized
 from knotgym.runs import Progress, executor
 from knotgym.runs import Result as Kept
 from knotgym.states import is_bundled, resolve_states
@@ -62,7 +68,17 @@ ROWS = Schema(
     ),
     "an episode, setup after setup",
 )
-PULLED = Schema("steps", PULLS.columns[:2], "a pull, episode after episode")
+_BEAD, _FORCE = PULLS.columns[:2]
+_UNIT = f"max_force / {FORCE_BINS}"
+PULLED = Schema(
+    "steps",
+    (
+        _BEAD,
+        _FORCE._replace(optional=True),
+        Column("bins", "int8", (3,), _UNIT, "the force, where all forces are quantized", True),
+    ),
+    "a pull, episode after episode",
+)
 
 
 class Entry(NamedTuple):
@@ -70,7 +86,8 @@ class Entry(NamedTuple):
 
     Attributes:
         config: of the evaluation.
-        rows, pulls: the tables ROWS and PULLED.
+        rows: the table ROWS.
+        pulls: bead and force of each pull.
         claimed: what replay doesn't prove, a dictionary for each setup.
     """
 
@@ -123,19 +140,24 @@ def write_entry(
     path: Path, config: EvaluateConfig, played: Sequence[Episodes], claimed: list[dict[str, Any]]
 ) -> None:
     """Write the episodes of all setups, played with all columns of steps, to a file."""
-    rows, pulls = list[Table](), list[Table]()
+    rows, made = (
+        list[Table](),
+        Table.joined([pulls_of(one).only(_BEAD.name, _FORCE.name) for one in played]),
+    )
     for one in played:
         lengths: NDArray[Any] = one.episodes["length"].astype(np.uint32)
         own: dict[str, NDArray[Any]] = {"length": lengths, "digest": digests(one)}
         rows.append(Table(ROWS, own))
-        pulls.append(Table(PULLED, pulls_of(one)))
+    bins = force_bins(made["force"])
+    exact = {"force": made["force"]} if bins is None else {"bins": bins}
+    pulls = Table(PULLED, {"bead": made["bead"], **exact})
     attributes = {
         "config": as_json(config),
         "states": states_digests(config),
         "rope": RopeConfig().fingerprint,
         "claimed": claimed,
     }
-    attributes["digest"] = _digest(attributes, rows, pulls)
+    attributes["digest"] = _digest(attributes, rows, [pulls])
     write_tables(path, [rows, pulls], attributes, format=FORMAT, version=VERSION, pack=True)
 
 
@@ -162,6 +184,11 @@ def read_entry(path: Path) -> Entry | None:
             f"{path} was played with rope model {attributes.get('rope')}, this version has"
             f" {RopeConfig().fingerprint}"
         )
+    if ("bins" in pulls) == ("force" in pulls):
+        raise InvalidFile(f"{path} needs one column of forces: 'force' or 'bins'")
+    if "bins" in pulls:
+        forces = quantized(pulls["bins"] / FORCE_BINS).astype(np.float32)
+        pulls = Table(PULLED, {"bead": pulls["bead"], "force": forces})
     wanted, count = len([*config.setups()]) * config.episodes, int(rows["length"].sum())
     if rows.rows != wanted or pulls.rows != count or len(claimed) * config.episodes != wanted:
         raise InvalidFile(

@@ -86,8 +86,7 @@ class Recording(NamedTuple):
                 chosen.
         """
         steps = episodes.steps
-        bins = np.rint(steps["force"] * FORCE_BINS)
-        if MACROS[0] not in steps or (quantized(bins / FORCE_BINS) != steps["force"]).any():
+        if MACROS[0] not in steps or force_bins(steps["force"]) is None:
             raise InvalidInput(
                 f"{config.dataset_id} can't be recorded: its policy must choose macro-actions, and"
                 f" forces in multiples of 1/{FORCE_BINS} of the largest"
@@ -196,11 +195,19 @@ def write_recordings(path: Path, all_sets: Sequence[Recording]) -> None:
     for one in sorted(all_sets, key=lambda one: one.config.dataset_id):
         length, made = one.episodes.episodes["length"], pulls_of(one.episodes)
         columns = {c.name: made[c.name].astype(c.dtype) for c in STEPS.columns if c.name != "force"}
-        columns["force"] = np.rint(made["force"] * FORCE_BINS).astype(np.int8)
+        bins = force_bins(made["force"])
+        assert bins is not None  # `Recording.of` refuses others
+        columns["force"] = bins
         steps.append(Table(STEPS, columns))
         rows.append(Table(EPISODES, {"length": length.astype(np.uint16), "digest": one.digests}))
         sets[one.config.dataset_id] = {"config": as_json(one.config), "episodes": len(length)}
     write_tables(path, [rows, steps], {"sets": sets}, format=FORMAT, pack=True)
+
+
+def force_bins(forces: NDArray[Any]) -> NDArray[np.int8] | None:
+    """Return quantized forces in units of the largest one / FORCE_BINS; None if they aren't."""
+    bins = np.rint(forces * FORCE_BINS)
+    return bins.astype(np.int8) if (quantized(bins / FORCE_BINS) == forces).all() else None
 
 
 def pulls_of(episodes: Episodes) -> Table:
