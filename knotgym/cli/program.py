@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from types import FrameType
 
-from cyclopts import App, CycloptsError, UnknownOptionError
+from cyclopts import App, CycloptsError, UnknownOptionError, UnusedCliTokensError
 
 from knotgym import __version__
 from knotgym.common import Failed, KnotgymError, one_line
@@ -124,6 +124,9 @@ def _mistake(error: CycloptsError) -> str:
         if paths := list(settings_named(sections, name)):
             ways = " or ".join(f"--set {path}=..." for path in paths)
             return f"{typed.partition('=')[0]} is a setting: {ways}"
+    if isinstance(error, UnusedCliTokensError):
+        many = " ".join(error.unused_tokens or [])
+        return f"a word too many: {many}; several values are one word, such as 2,3"
     return str(error)
 
 

@@ -19,29 +19,37 @@ def _matches(name: str) -> bool:
 
 
 def _make(config: PolicyConfig) -> Policy:
-    for library in ("torch", "safetensors"):
-        if importlib.util.find_spec(library) is None:
-            raise MissingExtra(library, "learn", f"the learner {config.policy}")
+    is_clone = _is_clone(config.policy)
     from knotgym.learn.agent import load_picture_policy
-    from knotgym.learn.checkpoint import CLONE, policy_folder
+    from knotgym.learn.checkpoint import policy_folder
     from knotgym.learn.clone_policy import load_clone
 
-    if _card(config.policy).get("learner") == CLONE:
+    if is_clone:
         return load_clone(policy_folder(config.policy))
     return load_picture_policy(config.policy)
 
 
 def _files(name: str) -> dict[str, Path]:
-    from knotgym.learn.checkpoint import CARD, CLONE, WEIGHTS, policy_folder
+    is_clone = _is_clone(name)
+    from knotgym.learn.checkpoint import CARD, WEIGHTS, policy_folder
 
-    is_clone = _card(name).get("learner") == CLONE
     splits = ("train", "train-code") if is_clone else ("train",)
     tables = [PassValues.table(split, every_code=is_clone) for split in splits]
     counted = {path.name: path for path in tables if path.is_file()}
     return counted | {file: policy_folder(name) / file for file in (CARD, WEIGHTS)}
 
 
+def _is_clone(name: str) -> bool:
+    card = _card(name)
+    from knotgym.learn.checkpoint import CLONE
+
+    return card.get("learner") == CLONE
+
+
 def _card(name: str) -> dict[str, Any]:
+    for library in ("torch", "safetensors"):
+        if importlib.util.find_spec(library) is None:
+            raise MissingExtra(library, "learn", f"the learner {name}")
     from knotgym.learn.checkpoint import policy_folder, read_card
 
     return read_card(policy_folder(name))

@@ -1,5 +1,6 @@
 """How a command ends: one line on standard error and its status, whatever happens."""
 
+import importlib.util
 import subprocess
 import sys
 from concurrent.futures.process import BrokenProcessPool
@@ -51,6 +52,24 @@ def test_an_end_is_one_line(
     assert knotgym("dataset", "show", "x") == status
     said = capfd.readouterr().err
     assert said.startswith(f"knotgym: {line}") and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["evaluate", "collect"])
+def test_learners_without_torch_name_the_extra(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda *_: None)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert knotgym(command, "--policy", "pretrained", "--out", tmp_path / "made") == 2
+    said = capfd.readouterr().err
+    assert "the learner pretrained needs torch" in said and said.count("\n") == 1
+
+
+def test_words_too_many_say_how_several_values_are_written(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert knotgym("evaluate", "--task", "tie", "--nx", "2", "3") == 2
+    assert "a word too many: 3; several values are one word, such as 2,3" in capfd.readouterr().err
 
 
 def test_a_fault_of_our_own_is_not_called_the_users_mistake(
