@@ -26,7 +26,7 @@ from knotgym.rendering.camera import (
     project,
     seen_from,
 )
-from knotgym.rendering.picture import depths_of, in_picture, paint
+from knotgym.rendering.picture import in_picture, paint
 from knotgym.topology import Crossings, GaussCode, find_crossings
 
 Array = NDArray[np.float64]
@@ -67,12 +67,10 @@ def draw_diagram(
         InvalidInput: points have the wrong shape or are not finite, or the size is out of range.
     """
     rope = seen_from(view, checked_points(points, 2))
-    curve, crossings = smooth_curve(rope, find_crossings(rope).code, _PARTS)
     shown = side or side_of(rope)
     config = PictureConfig(size=size, view=shown, rope_radius=max(_RADIUS, _THINNEST * shown))
     centre = 0.5 * (rope.min(axis=0) + rope.max(axis=0))
-    colours = np.repeat(bead_colours(len(rope)), _PARTS, axis=0)
-    picture = _paint(curve, crossings, centre, config, colours, BACKGROUND, _GAP)
+    picture = _paint(rope, centre, config, bead_colours(len(rope)), BACKGROUND, _GAP)
     if pull is not None:
         bead, force = pull
         start = project(rope[bead][None], config, centre)[0]
@@ -94,9 +92,8 @@ def draw_lines(points: ArrayLike, config: PictureConfig) -> NDArray[np.uint8]:
         uint8 (size, size, 3), RGB.
     """
     rope = checked_points(points, 2)
-    curve, crossings = smooth_curve(rope, find_crossings(rope).code, _PARTS)
-    colours = np.zeros((len(curve), 3), dtype=np.uint8)
-    return _paint(curve, crossings, rope.mean(axis=0), config, colours, _WHITE, _LINE_GAP)
+    black = np.zeros((len(rope), 3), dtype=np.uint8)
+    return _paint(rope, rope.mean(axis=0), config, black, _WHITE, _LINE_GAP)
 
 
 def side_of(points: ArrayLike) -> float:
@@ -145,35 +142,24 @@ def smooth_curve(
 
 
 def _paint(
-    curve: Array,
-    crossings: Crossings,
-    centre: Array,
-    config: PictureConfig,
-    colours: NDArray[np.uint8],
-    background: RGB,
-    gap: float,
+    rope: Array, centre: Array, config: PictureConfig, colours: Array, background: RGB, gap: float
 ) -> NDArray[np.uint8]:
-    """Paint the curve (n, 3), whose pieces have `colours` (n, 3), with `centre` in the middle.
+    """Paint a rope, whose beads have `colours`, with `centre` in the middle of the picture.
 
     `gap` is the width of the bands at crossings, in widths of the rope.
     """
+    curve, crossings = smooth_curve(rope, find_crossings(rope).code, _PARTS)
     size, count = config.size, len(curve)
     # row by row: 60 times as fast as filling every pixel with three numbers
     picture = np.full((1, size, 3), background, dtype=np.uint8).repeat(size, axis=0)
-    pixels, height, radius = in_picture(curve[None], config, centre)
-    bands = []
-    for over, under, reach in zip(
-        crossings.over_place,
-        crossings.under_place,
-        _reaches(curve, crossings, config.drawn_radius, gap),
-        strict=True,
-    ):
+    (line,), depths = in_picture(curve[None], config, centre)
+    reaches = _reaches(curve, crossings, config.drawn_radius, gap)
+    bands = np.ones((crossings.nx, 5))
+    bands[:, 0], bands[:, 1], bands[:, 2] = crossings.over_place, reaches, gap * line[0, 3]
+    for band, under, reach in zip(bands, crossings.under_place, reaches, strict=True):
         off = np.abs(np.arange(count) - under)
-        near = np.minimum(off, count - off) <= reach + 3.0
-        level = height[0, near].max()
-        bands.append((over, reach, gap * radius[0, 0], level, 1.0))
-    table = np.array(bands, dtype=np.float64).reshape(-1, 5)
-    paint(pixels, height, radius, colours, depths_of(config), table, picture[None], size)
+        band[3] = line[np.minimum(off, count - off) <= reach + 3.0, 2].max()
+    paint(line[None], depths, np.repeat(colours, _PARTS, axis=0), bands, picture[None])
     return picture
 
 

@@ -76,8 +76,6 @@ class _Painter:
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._model, self._side = model, side
-        # room for most ropes and the floor; a call makes more for longer ones
-        self._scene = _stage(model, 256)
 
     def __call__(
         self, points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
@@ -93,71 +91,32 @@ class _Painter:
             uint8, shape (side, side, 3), row 0 at the top, before averaging to the picture's size.
         """
         points = points - points.mean(axis=0)
-        beads = len(points)
-        if beads + 1 > self._scene.maxgeom:
-            self._scene = _stage(self._model, beads + 1)
-        self._look(points, config)
-        rgba = np.ones((beads, 4), dtype=np.float32)
-        rgba[:, :3] = colours / 255.0
-        nowhere, upright = np.zeros(3), np.eye(3).ravel()
-        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE.value
-        geoms = self._scene.geoms
-        for bead in range(beads):
+        scene = _stage(self._model, points, config)
+        rgba = np.column_stack([colours / 255.0, np.ones(len(points))]).astype(np.float32)
+        capsule, following = mujoco.mjtGeom.mjGEOM_CAPSULE.value, np.roll(points, -1, axis=0)
+        for geom, here, there, colour in zip(scene.geoms, points, following, rgba, strict=True):
             # only the colour counts here: the connector sets size, place and direction
-            mujoco.mjv_initGeom(geoms[bead], capsule, nowhere, nowhere, upright, rgba[bead])
-            mujoco.mjv_connector(
-                geoms[bead], capsule, config.drawn_radius, points[bead], points[(bead + 1) % beads]
-            )
-        self._scene.ngeom = beads
-        # the canvas is black by default; any other background is a floor under the rope
-        if any(config.background):
-            floor = np.array([100.0, 100.0, 0.01])
-            below = np.array([0.0, 0.0, points[:, 2].min() - 0.5 * _MARGIN])
-            shade = np.array(
-                [*(level / 255.0 for level in config.background), 1.0], dtype=np.float32
-            )
-            mujoco.mjv_initGeom(
-                geoms[beads], mujoco.mjtGeom.mjGEOM_BOX.value, floor, below, upright, shade
-            )
-            self._scene.ngeom = beads + 1
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+            mujoco.mjv_connector(geom, capsule, config.drawn_radius, here, there)
+        scene.ngeom = len(points)
         # a painter of another size may have been the current one of this thread
         self._gl.make_current()
         canvas = np.empty((self._side, self._side, 3), dtype=np.uint8)
+        depth = np.empty((self._side, self._side), dtype=np.float32)
         view = mujoco.MjrRect(0, 0, self._side, self._side)
-        mujoco.mjr_render(view, self._scene, self._context)
-        mujoco.mjr_readPixels(canvas, None, view, self._context)
+        mujoco.mjr_render(view, scene, self._context)
+        mujoco.mjr_readPixels(canvas, depth, view, self._context)
+        # where nothing was drawn the depth is still that of the far plane
+        canvas[depth == 1.0] = config.background
         # OpenGL's first row is the bottom one
         return np.ascontiguousarray(canvas[::-1])
 
-    def _look(self, points: NDArray[np.float64], config: PictureConfig) -> None:
-        """Place the camera as config says; points are relative to their mean."""
-        if config.fovy is None:
-            # rays are parallel, so any height above the rope shows the same
-            height = float(points[:, 2].max()) + _MARGIN
-            half = 0.5 * config.view / config.zoom
-        else:
-            height = config.camera_height
-            # MuJoCo's frustum is given at the near plane
-            half = NEAR * math.tan(0.5 * math.radians(config.fovy)) / config.zoom
-        # a scene has two cameras, one for each eye; MuJoCo draws from between them
-        for camera in self._scene.camera:
-            camera.pos = [0.0, 0.0, height]
-            camera.forward = [0.0, 0.0, -1.0]
-            camera.up = [-math.sin(config.turn), math.cos(config.turn), 0.0]
-            camera.orthographic = int(config.fovy is None)
-            camera.frustum_center, camera.frustum_width = 0.0, half
-            camera.frustum_bottom, camera.frustum_top = -half, half
-            camera.frustum_near = NEAR
-            camera.frustum_far = height - float(points[:, 2].min()) + _MARGIN
-
-    def _free(self) -> None:
-        """Free the context; may be called twice."""
-        if self._context is not None:
-            self._gl.make_current()
-            # the context first, as it can only be freed while its canvas is there
-            self._context.free()
-            self._gl.free()
-        self._context = self._gl = None
+    def free(self) -> None:
+        """Free the context."""
+        self._gl.make_current()
+        # the context first, as it can only be freed while its canvas is there
+        self._context.free()
+        self._gl.free()
 
 
 _painters: dict[tuple[int, int, int], _Painter] = {}
@@ -196,18 +155,39 @@ def draw(
 def _close() -> None:
     """Free the contexts that this thread of this process has created."""
     for key in [key for key in _painters if key[:2] == (os.getpid(), threading.get_ident())]:
-        _painters.pop(key)._free()
+        _painters.pop(key).free()
 
 
-def _stage(model: mujoco.MjModel, geoms: int) -> mujoco.MjvScene:
-    """Create an empty scene for up to `geoms` geoms, lit evenly from all sides."""
-    scene = mujoco.MjvScene(model, maxgeom=geoms)
-    everything = mujoco.mjtCatBit.mjCAT_ALL.value
+def _stage(
+    model: mujoco.MjModel, points: NDArray[np.float64], config: PictureConfig
+) -> mujoco.MjvScene:
+    """Create an empty scene, lit evenly from all sides, with the camera as config says.
+
+    Points (beads, 3) are relative to their mean; there is room for one geom for each.
+    """
+    scene, everything = mujoco.MjvScene(model, len(points)), mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(
         model, mujoco.MjData(model), mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene
     )
     for flag in ("SHADOW", "REFLECTION", "FOG", "HAZE", "SKYBOX"):
         scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = False
+    if config.fovy is None:
+        # rays are parallel, so any height above the rope shows the same
+        height = float(points[:, 2].max()) + _MARGIN
+        half = 0.5 * config.view / config.zoom
+    else:
+        height = config.camera_height
+        # MuJoCo's frustum is given at the near plane
+        half = NEAR * math.tan(0.5 * math.radians(config.fovy)) / config.zoom
+    # a scene has two cameras, one for each eye; MuJoCo draws from between them
+    for camera in scene.camera:
+        camera.pos, camera.forward = [0.0, 0.0, height], [0.0, 0.0, -1.0]
+        camera.up = [-math.sin(config.turn), math.cos(config.turn), 0.0]
+        camera.orthographic = int(config.fovy is None)
+        camera.frustum_center, camera.frustum_width = 0.0, half
+        camera.frustum_bottom, camera.frustum_top = -half, half
+        camera.frustum_near = NEAR
+        camera.frustum_far = height - float(points[:, 2].min()) + _MARGIN
     return scene
 
 

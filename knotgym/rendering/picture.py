@@ -17,7 +17,7 @@ After a change run `pytest tests/rendering tests/quality` and `python benchmarks
 must be a ray tracer's but for edges, and the strand on top the one labelled over.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -40,13 +40,6 @@ Array = NDArray[Any]
 # less would change no level of the colours in use, and only the depth of a pixel
 _LEAST_COVER = 1.0 / 64.0
 _OUTSIDE = -1e12  # rank of a piece whose edge alone covers the pixel, less its distance, pixels
-
-
-class Depths(NamedTuple):
-    """Heights as levels of a fourth channel: 128 at `middle`, 1 and 255 half a `span` from it."""
-
-    middle: float
-    span: float
 
 
 def draw(
@@ -110,13 +103,13 @@ def _draw_all(
     sides = [seen_from(view, points) for view in config.views]
     ropes = np.stack(sides, axis=1).reshape(-1, beads, 3) if views > 1 else sides[0]
     squares = out.reshape(-1, size, *out.shape[2:])
-    paint(*in_picture(ropes, config), colours, depths_of(config), np.empty((0, 5)), squares, size)
+    paint(*in_picture(ropes, config), colours, np.empty((0, 5)), squares)
     return out
 
 
 def in_picture(
     points: Array, config: PictureConfig, center: Array | None = None
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, tuple[float, float]]:
     """Project ropes (m, beads, 3) for `paint`.
 
     Args:
@@ -125,78 +118,65 @@ def in_picture(
         center: see `project`; by default the mean of each rope.
 
     Returns:
-        pixels (m, beads, 2); heights (m, beads), in perspective the negative distance to the camera
-        at the scale of the centre of mass; radii (m, beads). All in pixels.
+        `ropes` and `depths` of `paint`. Half of the depths are in front of the centre of mass; in
+        perspective, heights are the negative distance to the camera at the scale of the centre.
     """
     offset = points - (points.mean(axis=1, keepdims=True) if center is None else center)
-    pixels, height = project(points, config, center), np.ascontiguousarray(offset[..., 2])
+    height, middle, scale = offset[..., 2], 0.0, config.pixels_per_metre
     if config.fovy is not None:
         # negative, so that nearer is higher under both cameras
         height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=-1)
+        middle = -config.camera_height
     # each vertex has a radius of its own, as perspective widens what is near
     radius = config.drawn_radius * pixels_per_metre_at(offset, config)
-    return pixels, config.pixels_per_metre * height, radius
-
-
-def depths_of(config: PictureConfig) -> Depths:
-    """Return the levels of depth: half of them in front of the centre of mass."""
-    middle = 0.0 if config.fovy is None else -config.camera_height
-    return Depths(config.pixels_per_metre * middle, config.pixels_per_metre * config.view)
+    ropes = np.empty((*height.shape, 4))
+    ropes[..., :2], ropes[..., 2] = project(points, config, center), scale * height
+    ropes[..., 3] = radius
+    return ropes, (scale * middle, scale * config.view)
 
 
 @njit(cache=True, nogil=True)
 def paint(
-    pixels: Array,
-    height: Array,
-    radius: Array,
-    colours: NDArray[np.uint8],
-    depths: Depths,
-    bands: Array,
-    out: NDArray[np.uint8],
-    size: int,
+    ropes: Array, depths: tuple[float, float], colours: Array, bands: Array, out: Array
 ) -> None:
     """Paint m closed ropes of n pieces; piece i leads from vertex i to the next.
 
     Args:
-        pixels: (m, n, 2), vertices in the picture; pieces that begin or end at NaN are left out.
-        height: (m, n), towards the camera, in pixels.
-        radius: (m, n), pixels.
+        ropes: (m, n, 4), vertices in the picture: x, y, height towards the camera and radius, in
+            pixels; pieces that begin or end at NaN are left out.
+        depths: height that a fourth channel shows as 128, and the span between its levels 1 and
+            255, pixels.
         colours: uint8 (n, 3), of the pieces.
-        depths: in pixels; used if the picture has a fourth channel.
         bands: (b, 5), stretches of the rope that cut what lies below them: place of the middle,
             and half the length, both in pieces; radius, pixels; height up to which strands are cut,
             pixels; pieces on either side of the stretch that aren't cut. For single ropes.
         out: uint8 (m, size, width, 3 or 4), already the background; output, in the left `size`
             columns.
-        size: side of the picture.
     """
-    ropes, n = height.shape
+    size = out.shape[1]
     # Strands are kept in lists: `first` has each pixel's newest strand or -1, `of` the strand
     # before, the pixel, the first and the last piece that touched it, and the piece on top; `seen`
     # its coverage, the rank of the piece on top, and the height of the axis there.
     first = np.empty(size * size, np.int32)
     first[:] = -1
     of, seen = np.empty((4096, 5), np.int32), np.empty((4096, 3))
-    order = np.empty(n, np.int64)
-    for k in range(ropes):
-        count, of, seen = _stamp(pixels[k], height[k], radius[k], first, of, seen, size)
+    for k in range(len(ropes)):
+        count, of, seen = _stamp(ropes[k], first, of, seen, size)
         for b in range(len(bands)):
-            _cut(pixels[k], bands[b], first, of, seen, size)
-        _blend(count, first, of, seen, order, colours, depths, out[k], size)
+            _cut(ropes[k], bands[b], first, of, seen, size)
+        _blend(count, first, of, seen, colours, depths, out[k])
         for strand in range(count):
             first[of[strand, 1]] = -1
 
 
 @inlined
-def _stamp(
-    pixels: Array, height: Array, radius: Array, first: Array, of: Array, seen: Array, size: int
-) -> Any:
+def _stamp(rope: Array, first: Array, of: Array, seen: Array, size: int) -> Any:
     """Find the strands of a rope at all pixels; return their number, `of` and `seen`."""
-    count, n = 0, len(height)
+    count, n = 0, len(rope)
     for i in range(n):
         j = (i + 1) % n
-        x, y, z, r = pixels[i, 0], pixels[i, 1], height[i], radius[i]
-        dx, dy, dz, dr = pixels[j, 0] - x, pixels[j, 1] - y, height[j] - z, radius[j] - r
+        x, y, z, r = rope[i, 0], rope[i, 1], rope[i, 2], rope[i, 3]
+        dx, dy, dz, dr = rope[j, 0] - x, rope[j, 1] - y, rope[j, 2] - z, rope[j, 3] - r
         if not dx * dx + dy * dy < np.inf:
             continue
         square = max(dx * dx + dy * dy, 1e-12)
@@ -272,14 +252,14 @@ def _doubled(of: NDArray[np.int32], seen: NDArray[np.float64]) -> Any:
 
 
 @inlined
-def _cut(pixels: Array, band: Array, first: Array, of: Array, seen: Array, size: int) -> None:
+def _cut(rope: Array, band: Array, first: Array, of: Array, seen: Array, size: int) -> None:
     """Cut what lies below a band, see `paint`: cover it less."""
-    n, (middle, half, radius, level, spared) = len(pixels), band
+    n, (middle, half, radius, level, spared) = len(rope), band
     start, stop = int(np.ceil(middle - half - 0.5)), int(np.floor(middle + half - 0.5)) + 1
     low_x = low_y = np.inf
     high_x = high_y = -np.inf
     for i in range(start, stop + 1):
-        x, y = pixels[i % n]
+        x, y = rope[i % n, 0], rope[i % n, 1]
         low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
     left, right = _range(low_x, high_x - low_x, radius + 0.5, size)
     top, bottom = _range(low_y, high_y - low_y, radius + 0.5, size)
@@ -290,9 +270,8 @@ def _cut(pixels: Array, band: Array, first: Array, of: Array, seen: Array, size:
                 continue
             nearest = np.inf
             for i in range(start, stop):
-                px, py = column + 0.5 - pixels[i % n, 0], row + 0.5 - pixels[i % n, 1]
-                dx = pixels[(i + 1) % n, 0] - pixels[i % n, 0]
-                dy = pixels[(i + 1) % n, 1] - pixels[i % n, 1]
+                x, y, j = rope[i % n, 0], rope[i % n, 1], (i + 1) % n
+                px, py, dx, dy = column + 0.5 - x, row + 0.5 - y, rope[j, 0] - x, rope[j, 1] - y
                 t = (px * dx + py * dy) / max(dx * dx + dy * dy, 1e-12)
                 t = min(max(t, 0.0), 1.0)
                 ex, ey = px - t * dx, py - t * dy
@@ -342,17 +321,10 @@ def _falling(newest: int, of: Array, seen: Array, order: Array) -> int:
 
 @inlined
 def _blend(
-    count: int,
-    first: Array,
-    of: Array,
-    seen: Array,
-    order: Array,
-    colours: NDArray[np.uint8],
-    depths: Depths,
-    image: NDArray[np.uint8],
-    size: int,
+    count: int, first: Array, of: Array, seen: Array, colours: Array, depths: Any, image: Array
 ) -> None:
     """Blend the strands of each pixel, the highest first, over its background."""
+    size, order = len(image), np.empty(len(colours), np.int64)
     for newest in range(count):
         if first[of[newest, 1]] != newest:
             continue
@@ -374,87 +346,70 @@ def _blend(
         image[row, column, 1] = np.uint8(green + left * image[row, column, 1] + 0.5)
         image[row, column, 2] = np.uint8(blue + left * image[row, column, 2] + 0.5)
         if image.shape[2] == 4 and left < 1.0:
-            nearer = min(max(0.5 + (seen[order[0], 2] - depths.middle) / depths.span, 0.0), 1.0)
+            nearer = min(max(0.5 + (seen[order[0], 2] - depths[0]) / depths[1], 0.0), 1.0)
             image[row, column, 3] = np.uint8(1 + np.rint(254.0 * nearer))
 
 
-@njit(cache=True, nogil=True)
 def strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
     """Return the smallest distance in the picture, pixels, of vertices on different strands.
 
     Two vertices are on different strands if every path between them along the drawing, straight on
     or turning at crossings, is longer than `walk` pixels. Near a crossing the strands that cross
     are connected by a short path, and don't count.
+
+    Args:
+        pixels: float64 (beads, 2), contiguous.
+        over, under: float64 (nx,), positions of the visits along the rope, beads.
+        walk: pixels.
     """
-    beads = len(pixels)
-    along = np.zeros(beads + 1)
-    for i in range(beads):
-        x, y = pixels[(i + 1) % beads, 0] - pixels[i, 0], pixels[(i + 1) % beads, 1] - pixels[i, 1]
-        along[i + 1] = along[i] + np.sqrt(x * x + y * y)
-    total = along[beads]
-    # a way that turns at crossings reaches j straight from the last of them, so distances with
-    # turns are needed from i alone
-    to_visit, from_bead = _walks_to_visits(along, over, under)
+    length = np.sqrt(((np.roll(pixels, -1, axis=0) - pixels) ** 2).sum(axis=1))
+    along = np.append(0.0, np.cumsum(length))  # arc length at each vertex, and in total
+    # visits 2k and 2k + 1 belong to crossing k
+    at = np.interp(np.stack([over, under], axis=1).ravel(), np.arange(len(along)), along)
+    # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
+    # point of the picture, at distance 0.
+    visits, between = np.arange(len(at)), _round(at[:, None] - at, along[-1])
+    between[visits, visits ^ 1] = 0.0
+    # after round m, paths that turn at no visit beyond m are right
+    for m in visits:
+        between = np.minimum(between, between[:, m, None] + between[m])
+    straight = _round(along[:-1, None] - at, along[-1])
+    turning = (straight[:, :, None] + between).min(axis=1, initial=np.inf)
+    return _nearest(pixels, along, straight, turning, walk)
+
+
+def _round(gap: Array, total: float) -> Array:
+    """Return the shorter of the two ways round a closed curve."""
+    return np.minimum(np.abs(gap), total - np.abs(gap))
+
+
+@njit(cache=True, nogil=True)
+def _nearest(pixels: Array, along: Array, straight: Array, turning: Array, walk: float) -> float:
+    """Find the nearest vertices that no path as short as `walk` joins; return their distance.
+
+    Args:
+        pixels: float64 (beads, 2).
+        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
+        straight, turning: float64 (beads, visits), from vertices to visits along the drawing:
+            straight along the rope, and with turns at crossings.
+        walk: pixels.
+    """
     nearest = np.inf
     # from cheap to expensive: along the rope, in the picture, then through any crossing
-    for i in range(beads):
-        for j in range(i + 1, beads):
+    for i in range(len(pixels)):
+        for j in range(i + 1, len(pixels)):
             gap = along[j] - along[i]
-            gap = min(gap, total - gap)
+            gap = min(gap, along[-1] - gap)
             if gap <= walk:
                 continue
             dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
             apart = np.sqrt(dx * dx + dy * dy)
             if apart >= nearest:
                 continue
-            for visit in range(to_visit.shape[1]):
-                gap = min(gap, from_bead[i, visit] + to_visit[j, visit])
+            # a path that turns at crossings reaches j straight from the last of them, so those
+            # with turns are needed from i alone
+            for visit in range(straight.shape[1]):
+                gap = min(gap, turning[i, visit] + straight[j, visit])
             if gap > walk:
                 nearest = apart
     return nearest
-
-
-@inner
-def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Array]:
-    """Return the distances from vertices to visits along the drawing, pixels.
-
-    Args:
-        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
-        over, under: float64 (nx,), positions of the visits along the rope, beads; visits 2k and
-            2k + 1 belong to crossing k.
-
-    Returns:
-        float64 (beads, 2 nx) twice: straight along the rope, and with turns at crossings.
-    """
-    beads, visits = len(along) - 1, 2 * len(over)
-    total = along[beads]
-    at = np.empty(visits)
-    for k in range(len(over)):
-        for side, place in enumerate((over[k], under[k])):
-            # a place may be `beads`, the end of the closing edge
-            i = min(int(place), beads - 1)
-            at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
-    # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
-    # point of the picture, at distance 0.
-    between = np.empty((visits, visits))
-    for a in range(visits):
-        for b in range(visits):
-            gap = abs(at[a] - at[b])
-            between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
-    # The loop over the stop between is the outermost: after round m, paths that turn at no visit
-    # beyond m are right.
-    for m in range(visits):
-        for a in range(visits):
-            for b in range(visits):
-                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
-    straight, turning = np.empty((beads, visits)), np.empty((beads, visits))
-    for i in range(beads):
-        for b in range(visits):
-            gap = abs(along[i] - at[b])
-            straight[i, b] = min(gap, total - gap)
-        for b in range(visits):
-            best = np.inf
-            for a in range(visits):
-                best = min(best, straight[i, a] + between[a, b])
-            turning[i, b] = best
-    return straight, turning
