@@ -28,7 +28,6 @@ from knotgym.rendering.photo_look import (
     drawn_look,
     lab,
     lengths,
-    levels_of,
     low_of,
 )
 from knotgym.rendering.photo_painting import (
@@ -40,7 +39,7 @@ from knotgym.rendering.photo_painting import (
     painted,
     projected,
 )
-from knotgym.rendering.variation import Appearance, Camera, Drawer, Drawn, Rng
+from knotgym.rendering.variation import Appearance, Camera, Drawer, Drawn, Rng, levels_of
 from knotgym.topology import Symmetry, canonical
 
 Array = NDArray[Any]

@@ -118,7 +118,6 @@ def shapes(
                     picture[row, column, c] = np.uint8(below + cover * (colours[k, c] - below))
 
 
-@njit(cache=True, nogil=True)
 def layers(visits: Array, goes_over: Array, n: int) -> Array:
     """Return the flags of n pieces, uint8; see UNDER.
 
@@ -126,24 +125,19 @@ def layers(visits: Array, goes_over: Array, n: int) -> Array:
         visits: float64 (2 nx,), sorted places.
         goes_over: bool (2 nx,).
     """
-    flags, m, v = np.full(n, UNDER, np.uint8), len(visits), 0
-    if m == 0:
-        return flags
-    upper = np.zeros(n, np.bool_)
-    for k in range(n):
-        # the nearest visit, ahead or behind, round the closed curve
-        while v < m and visits[v] < k + 0.5:
-            v += 1
-        ahead = visits[v] if v < m else visits[0] + n
-        behind = visits[v - 1] if v > 0 else visits[m - 1] - n
-        upper[k] = goes_over[v % m] if ahead - k - 0.5 < k + 0.5 - behind else goes_over[v - 1]
-    for k in range(n):
-        if upper[k]:
-            before, after = upper[k - 1], upper[(k + 1) % n]
-            # the lower layer goes on for two pieces below the upper one
-            inside = before and after and upper[k - 2] and upper[(k + 2) % n]
-            flags[k] = OVER + UNDER * (not inside) + FIRST * (not before) + LAST * (not after)
-    return flags
+    if not len(visits):
+        return np.full(n, UNDER, np.uint8)
+    # the nearest visit, ahead or behind, round the closed curve
+    middle, m = np.arange(n) + 0.5, len(visits)
+    round_visits = np.concatenate([visits[-1:] - n, visits, visits[:1] + n])
+    ahead = np.searchsorted(visits, middle) + 1
+    nearer = round_visits[ahead] - middle < middle - round_visits[ahead - 1]
+    upper = goes_over[np.where(nearer, ahead - 1, ahead - 2) % m]
+    before, after = np.roll(upper, 1), np.roll(upper, -1)
+    # the lower layer goes on for two pieces below the upper one
+    inside = before & after & np.roll(upper, 2) & np.roll(upper, -2)
+    flags = OVER + UNDER * ~inside + FIRST * ~before + LAST * ~after
+    return np.where(upper, flags, UNDER).astype(np.uint8)
 
 
 @njit(cache=True, nogil=True)
@@ -154,7 +148,7 @@ def stamp(
 
     Args:
         curve: float32 (n, 3), px; piece k leads from curve[k] to curve[after[k]].
-        after: int64 (n,), -1 for no piece.
+        after: int64 (n,), k itself for no piece.
         flags: uint8 (n,), see UNDER.
         reach: px.
         square, place: float32 (2, size, size), squared distance, and place along the curve in
@@ -162,7 +156,7 @@ def stamp(
     """
     size, limit = square.shape[1], np.float32(reach * reach)
     for k in range(len(curve)):
-        if after[k] < 0:
+        if after[k] == k:
             continue
         x0, y0 = curve[k, 0], curve[k, 1]
         dx, dy = curve[after[k], 0] - x0, curve[after[k], 1] - y0
@@ -201,15 +195,6 @@ def _arcsine_share(u: Any) -> Any:
     )
     share = (np.float32(1.5707963) - np.sqrt(max(_ONE - a, _ZERO)) * bent) / _TURN
     return share if u >= 0 else -share
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _edge(visits: Array, place: Any) -> int:
-    """Return the PD edge at a place: edge k leads to visit k, edge 1 passes the base."""
-    passed = 0
-    while passed < len(visits) and visits[passed] <= place:
-        passed += 1
-    return passed % max(len(visits), 1) + 1
 
 
 @njit(cache=True, nogil=True)
@@ -266,7 +251,9 @@ def compose(
             upper = high < low if same else high < radius
             p = place[1, row, column] if upper else place[0, row, column]
             if min(low, high) < radius and p < own:
-                strands[row, column] = _edge(visits, p)
+                # edge k leads to visit k, edge 1 passes the base
+                passed = np.searchsorted(visits, p, side="right")
+                strands[row, column] = passed % max(len(visits), 1) + 1
             for layer in range(2):
                 d = high if layer else low
                 if d >= radius + _HALF or (same and upper != (layer == 1)):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rendering.camera import DEFAULT, RGB
-from knotgym.rendering.variation import Appearance, Rng
+from knotgym.rendering.variation import Appearance, Rng, levels_of
 
 Array = NDArray[Any]
 
@@ -22,6 +22,15 @@ _BACKGROUNDS = (*SURFACES, "clutter", "ropes")
 WIDTHS = (3.0, 12.0)  # of the rope, px
 TAPE = (200, 30, 36)  # RGB, of the bead before the base
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
+
+
+# ranges, in the order of the draws
+_GRAINS = {"cloth": (2.5, 6.0), "wood": (5.0, 14.0), "gradient": (256, 256), "noise": (8, 60)}
+_EVENLY = {
+    "pitch": (2.4, 4.5), "gloss": (0, 0.35), "light_turn": (0, 360), "light_height": (35, 75),
+    "ambient": (0.35, 0.65), "shadow": (0.6, 0.9), "falloff": (0, 0.35), "warmth": (-0.12, 0.18),
+    "exposure": (0.8, 1.15), "blur": (0, 0.9), "noise": (0, 8),
+}  # fmt: skip
 
 
 class Legibility(NamedTuple):
@@ -130,28 +139,19 @@ def drawn_look(look: Photo, rng: Rng) -> Photo:
         # the power makes pale surfaces more frequent than coloured ones
         first = _hsv(rng.uniform(0, 360), 0.65 * rng.random() ** 1.6, rng.uniform(0.15, 0.95))
         last = first * rng.uniform(0.5, 0.92)
-    grains = {"cloth": (2.5, 6.0), "wood": (5.0, 14.0), "gradient": (256, 256), "noise": (8, 60)}
-    # the upper end is excluded: 2 to 8 things, 1 to 4 ropes
-    count = {"clutter": (2, 9), "ropes": (1, 5)}
-
-    def _drawn(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
     look = replace(look, background=levels_of(first), ground=levels_of(last), surface=surface)
-    look = replace(look, grain=_drawn(*grains[surface]), grain_turn=_drawn(0, 360))
-    clutter = int(rng.integers(*count["clutter"])) if kind == "clutter" else 0
-    others = int(rng.integers(*count["ropes"])) if kind == "ropes" else 0
-    occluders = int(rng.integers(1, 3)) if rng.random() < 0.25 else 0
-    look = replace(look, clutter=clutter, others=others, occluders=occluders)
-    twisted = bool(rng.random() < 0.5)
-    look = replace(look, twisted=twisted, pitch=_drawn(2.4, 4.5), gloss=_drawn(0, 0.35))
-    look = replace(look, light_turn=_drawn(0, 360), light_height=_drawn(35, 75))
-    look = replace(
-        look, ambient=_drawn(0.35, 0.65), shadow=_drawn(0.6, 0.9), falloff=_drawn(0, 0.35)
-    )
-    look = replace(look, warmth=_drawn(-0.12, 0.18), exposure=_drawn(0.8, 1.15))
-    look = replace(look, blur=_drawn(0, 0.9) * look.size / 256, noise=_drawn(0, 8))
-    return replace(look, jpeg=int(rng.integers(45, 101)), seed=int(rng.integers(2**62)))
+    drawn: dict[str, Any] = {"grain": rng.uniform(*_GRAINS[surface])}
+    drawn["grain_turn"] = rng.uniform(0, 360)
+    # the upper end is excluded: 2 to 8 things, 1 to 4 ropes
+    drawn["clutter"] = rng.integers(2, 9) if kind == "clutter" else 0
+    drawn["others"] = rng.integers(1, 5) if kind == "ropes" else 0
+    drawn["occluders"] = rng.integers(1, 3) if rng.random() < 0.25 else 0
+    drawn["twisted"] = rng.random() < 0.5
+    drawn |= {name: rng.uniform(*ends) for name, ends in _EVENLY.items()}
+    drawn["blur"] *= look.size / 256
+    drawn |= {"jpeg": rng.integers(45, 101), "seed": rng.integers(2**62)}
+    plain = {name: type(getattr(look, name))(value) for name, value in drawn.items()}
+    return replace(look, **plain)
 
 
 def light_of(look: Photo) -> Array:
@@ -181,12 +181,6 @@ def _hsv(hue: Any, saturation: Any, value: Any) -> Array:
     # B.
     part = (hue / 60.0 + np.array([5.0, 3.0, 1.0])) % 6.0
     return 255 * value * (1 - saturation * np.clip(np.minimum(part, 4 - part), 0, 1))
-
-
-def levels_of(colour: Array) -> RGB:
-    """Round a colour (3,) to levels from 0 to 255."""
-    red, green, blue = np.rint(np.clip(colour, 0, 255)).astype(int).tolist()
-    return red, green, blue
 
 
 def lab(colours: Array) -> Array:

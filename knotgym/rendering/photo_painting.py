@@ -128,20 +128,18 @@ class PhotoView:
 
     def region(self, width: float) -> float:
         """Draw a rope of this width, px; return its smallest region, 0 if it isn't legible."""
-        gap = LIMITS.gap * self.unit
-        if (self.sines < math.sin(math.radians(LIMITS.angle))).any():
-            return 0.0
-        if self.apart < 1.5 * width + gap:
-            return 0.0
-        # a fold whose arms touch can't be told from a small kink
-        length = self.walked[-1]
-        # the piece two widths further along; below, -0.85 is a turn by 148 degrees on the way
+        gap, length = LIMITS.gap * self.unit, self.walked[-1]
+        # the piece two widths further along
         further = np.searchsorted(self.walked, (self.walked[:-1] + 2.0 * width) % length) - 1
-        if ((self.along * self.along[further]).sum(axis=1) < -0.85).any():
-            return 0.0
-        # strands that touch but belong to one bend or crossing, at most so long, can be told apart
         flat = self.curve[:, :2].astype(np.float64)
-        if strand_spacing(flat, self.over, self.under, 4.5 * width) < width + gap:
+        if (
+            (self.sines < math.sin(math.radians(LIMITS.angle))).any()
+            or self.apart < 1.5 * width + gap
+            # a turn by 148 degrees: a fold whose arms touch can't be told from a small kink
+            or ((self.along * self.along[further]).sum(axis=1) < -0.85).any()
+            # strands of one bend or crossing, at most so long, may touch
+            or strand_spacing(flat, self.over, self.under, 4.5 * width) < width + gap
+        ):
             return 0.0
         self.stamp(0.5 * width)
         near = (self.radius + 0.5 * gap) ** 2
@@ -256,12 +254,11 @@ def painted(
     curve, after = view.curve, view.after
     if look.others:
         curve, after, colours = _with_others(view, look, colours, rng)
-    step = curve[np.maximum(after, 0)] - curve
-    step[after < 0] = 0
+    step = curve[after] - curve
     length = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
     turns = max(round(length[n] / (2 * look.pitch * view.radius)), 1)  # whole, to have no seam
     tangent = step.copy()
-    np.add.at(tangent, np.maximum(after, 0), step)
+    np.add.at(tangent, after, step)
     tangent /= np.maximum(np.sqrt((tangent**2).sum(axis=1)), 1e-6)[:, None]
     light = light_of(look)
     grown = 3.0 * view.radius * n / length[n]
@@ -324,10 +321,10 @@ def _with_others(
         n, last = len(curve), len(curve) + len(path)
         curve = np.concatenate([curve, np.column_stack([path, np.zeros(len(path))])])
         curve = curve.astype(np.float32)
-        after = np.concatenate([after, np.arange(n + 1, last), [-1]])
+        after = np.concatenate([after, np.arange(n + 1, last), [last - 1]])
         colours = np.concatenate([colours, np.tile(dye, (len(path), 2, 1)).astype(np.float32)])
     # only the new pieces are stamped; where they and the rope are near, nearest wins
-    new = np.where(np.arange(len(curve)) < len(view.curve), -1, after)
+    new = np.where(np.arange(len(curve)) < len(view.curve), np.arange(len(curve)), after)
     flags = np.full(len(curve), kernels.UNDER, np.uint8)
     kernels.stamp(curve, new, flags, _reach(view.radius), view.square, view.place)
     return curve, after, colours

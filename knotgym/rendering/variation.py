@@ -176,14 +176,14 @@ class Drawer:
         if "colours" in vary:
             kind = ("published", "single", "gradient")[int(rng.integers(3))]
         # dark, as every rope has a channel of 150 or more along all of it
-        background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
-        first, last = _rgb(rng.integers(150, 256, 3)), plain.last
+        background = levels_of(rng.integers(0, 81, 3)) if "background" in vary else plain.background
+        first, last = levels_of(rng.integers(150, 256, 3)), plain.last
         # a gradient ends dark but with one channel of 150 or more, so that it differs in hue from
         # the start and is brighter than any background (at most 80)
         if kind == "gradient":
             dark = rng.integers(20, 60, 3)
             dark[rng.integers(3)] = rng.integers(150, 200)
-            last = _rgb(dark)
+            last = levels_of(dark)
         noise = float(rng.uniform(0, config.noise)) if "noise" in vary else 0.0
         blur = float(rng.uniform(0, config.blur)) * size / plain.size if "blur" in vary else 0.0
         look = self.look(name=self.name, size=size, turn=turn, zoom=zoom, width=width)
@@ -267,6 +267,7 @@ def _largest_zoom(points: Array, turn: float, width: float) -> float:
     return float((plain.size / 2 - _MARGIN) / plain.pixels_per_metre / outermost)
 
 
-def _rgb(levels: NDArray[np.integer]) -> RGB:
-    red, green, blue = (int(level) for level in levels)
+def levels_of(colour: NDArray[Any]) -> RGB:
+    """Round a colour (3,) to levels from 0 to 255."""
+    red, green, blue = np.rint(np.clip(colour, 0, 255)).astype(int).tolist()
     return red, green, blue

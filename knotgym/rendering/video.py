@@ -50,14 +50,17 @@ def _captioned(
         # a line that is too long is written smaller
         line_width = cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0]
         letters = min(_LETTERS, _LETTERS * (wide - 12) / max(1, line_width))
-        origin = (6, _TEXT * (number + 1) - 2)
-        cv2.putText(below, line, origin, _FONT, letters, _WHITE, 1, cv2.LINE_AA)
+        _write(below, line, 6, _TEXT * (number + 1) - 2, letters)
     whole = np.concatenate([frame, below])
     if outcome:
         colour = Film.OUTCOMES[outcome]
         cv2.putText(whole, outcome, (12, high - 16), _FONT, 1.2, colour, 2, cv2.LINE_AA)
         cv2.rectangle(whole, (2, 2), (wide - 3, len(whole) - 3), colour, 4)
     return whole
+
+
+def _write(picture: NDArray[np.uint8], text: str, x: int, y: int, size: float = _LETTERS) -> None:
+    cv2.putText(picture, text, (x, y), _FONT, size, _WHITE, 1, cv2.LINE_AA)
 
 
 def _film_frame(
@@ -82,17 +85,16 @@ def _film_frame(
     Returns:
         uint8 (height, width, 3), RGB, 768 pixels wide.
     """
-    metres = side or _film_side([points, goal], views)
+    drawing: dict[str, Any] = {"size": _WIDTH, "side": side or _film_side([points, goal], views)}
     halves = [
-        np.concatenate([draw_diagram(rope, _WIDTH, side=metres, view=view, pull=arrow)
-                        for view in views])
+        np.concatenate([draw_diagram(rope, view=view, pull=arrow, **drawing) for view in views])
         for rope, arrow in ((points, pull), (goal, None))
-    ]  # fmt: skip
+    ]
     codes = [str(label(rope)) or "the plain loop" for rope in (points, goal)]
     lines = [heading, f"now   {codes[0]}", f"goal  {codes[1]}"]
     frame = _captioned(np.concatenate(halves, axis=1), lines, outcome)
     for column, name in ((0, "now"), (_WIDTH, "goal")):
-        cv2.putText(frame, name, (column + 12, _TEXT + 6), _FONT, _LETTERS, _WHITE, 1, cv2.LINE_AA)
+        _write(frame, name, column + 12, _TEXT + 6)
     return frame
 
 
@@ -124,7 +126,11 @@ class Film:
     def write(self, frames: Sequence[NDArray[np.uint8]]) -> None:
         """Write frames, RGB and of equal size; the write is atomic."""
         with atomic_write(self._path) as temporary:
-            (_encoded if self._kind in _CODECS else _gif)(temporary, frames)
+            if self._kind in _CODECS:
+                return _encode(temporary, frames, *_CODECS[self._kind])
+            first, *others = map(Image.fromarray, frames)
+            lasting = 1000 // FRAMES_PER_SECOND
+            first.save(temporary, save_all=True, append_images=others, duration=lasting, loop=0)
 
     @staticmethod
     def frames(
@@ -145,32 +151,22 @@ class Film:
             reached: for each state, whether it reaches the goal.
             views: as in `_film_frame`.
         """
-        side, last = _film_side([*ropes, goal], views), len(ropes) - 1
+        side = _film_side([*ropes, goal], views)
+        outcomes = ["reached" if done else "" for done in reached]
+        outcomes[-1] = outcomes[-1] or "failed"
         shown = [
-            _film_frame(
-                rope,
-                goal,
-                headings[k],
-                pulls[k] if k < last else None,
-                "reached" if reached[k] else "failed" if k == last else "",
-                views,
-                side,
+            _film_frame(rope, goal, heading, pull, outcome, views, side)
+            for rope, heading, pull, outcome in zip(
+                ropes, headings, [*pulls, None], outcomes, strict=True
             )
-            for k, rope in enumerate(ropes)
         ]
         return shown + shown[-1:] * FRAMES_PER_SECOND
 
 
-def _gif(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
-    images = [Image.fromarray(frame) for frame in frames]
-    images[0].save(
-        path, save_all=True, append_images=images[1:], duration=1000 // FRAMES_PER_SECOND, loop=0
-    )
-
-
-def _encoded(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
+def _encode(
+    path: Path, frames: Sequence[NDArray[np.uint8]], encoder: str, options: dict[str, str]
+) -> None:
     av = _pyav()
-    encoder, options = _CODECS[path.suffix.lower()]
     with av.open(str(path), "w") as film:
         stream = film.add_stream(encoder, rate=FRAMES_PER_SECOND, options=options)
         stream.height, stream.width = frames[0].shape[:2]
