@@ -15,19 +15,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-FAR = np.float32(1e9)  # squared distance of pixels that no piece is near
+_F = np.float32
+FAR = _F(1e9)  # squared distance of pixels that no piece is near
 UNDER, OVER, FIRST, LAST = 1, 2, 4, 8  # flags of a piece: its layers, and ends of the upper one
 CLOTH, WOOD, GRADIENT, NOISE = 0, 1, 2, 3
-_TURN = np.float32(6.2831853)
+_TURN = _F(6.2831853)
 # beside these float32 stays float32; Python's own numbers would make it float64
-_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
+_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _smooth_noise(texture: Array, x: Any, y: Any) -> Any:
     """Interpolate a periodic texture, float32 (64, 64), at a point."""
     column, row = int(np.floor(x)), int(np.floor(y))
-    x, y = x - np.float32(column), y - np.float32(row)
+    x, y = x - _F(column), y - _F(row)
     # the texture repeats every 64 cells, so an index is its last six bits
     c, d, r, s = column & 63, (column + 1) & 63, row & 63, (row + 1) & 63
     upper = texture[r, c] + x * (texture[r, d] - texture[r, c])
@@ -49,7 +50,7 @@ def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, la
     """
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
-            px, py = np.float32(column) + _HALF, np.float32(row) + _HALF
+            px, py = _F(column) + _HALF, _F(row) + _HALF
             x = axes[0, 0] * px + axes[0, 1] * py + axes[0, 2]
             y = axes[1, 0] * px + axes[1, 1] * py + axes[1, 2]
             if kind == GRADIENT:
@@ -58,8 +59,8 @@ def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, la
                 # three octaves, each a third as wide and weaker than the one before: spots of
                 # several sizes
                 value = _HALF * _smooth_noise(texture, x, y)
-                value += np.float32(0.3) * _smooth_noise(texture, 3 * x, 3 * y)
-                value += np.float32(0.2) * _smooth_noise(texture, 9 * x, 9 * y)
+                value += _F(0.3) * _smooth_noise(texture, 3 * x, 3 * y)
+                value += _F(0.2) * _smooth_noise(texture, 9 * x, 9 * y)
             elif kind == CLOTH:
                 # the thread on top alternates; each is brightest along its middle
                 warp, weft = np.floor(x), np.floor(y)
@@ -67,13 +68,13 @@ def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, la
                     off, tone = x - warp - _HALF, texture[int(warp) & 63, 0]
                 else:
                     off, tone = y - weft - _HALF, texture[int(weft) & 63, 1]
-                value = np.float32(0.75) - 2 * off * off + np.float32(0.35) * (tone - _HALF)
+                value = _F(0.75) - 2 * off * off + _F(0.35) * (tone - _HALF)
             else:
                 # rings bent by slow noise: early wood turns slowly into late wood and ends at once
-                bent = y + 6 * _smooth_noise(texture, np.float32(0.03) * x, np.float32(0.25) * y)
+                bent = y + 6 * _smooth_noise(texture, _F(0.03) * x, _F(0.25) * y)
                 phase = bent - np.floor(bent)
-                value = _HALF * min(phase * np.float32(1.4), (_ONE - phase) * np.float32(4))
-                value += _HALF * _smooth_noise(texture, np.float32(0.3) * x, 6 * y)
+                value = _HALF * min(phase * _F(1.4), (_ONE - phase) * _F(4))
+                value += _HALF * _smooth_noise(texture, _F(0.3) * x, 6 * y)
             value = min(max(value, _ZERO), _ONE)
             for c in range(3):
                 out[row, column, c] = np.uint8(first[c] + value * (last[c] - first[c]))
@@ -94,13 +95,13 @@ def shapes(
         shift: float32 (2,), of the shadows, px.
         dark: share of light that a shadow takes.
     """
-    size, soft = len(picture), np.float32(2) + abs(shift[0]) + abs(shift[1])
+    size, soft = len(picture), _F(2) + abs(shift[0]) + abs(shift[1])
     for k in range(len(outlines)):
         x, y, reach = outlines[k, 0]
         reach += 2 * soft
         for row in range(max(int(y - reach), 0), min(int(y + reach) + 1, size)):
             for column in range(max(int(x - reach), 0), min(int(x + reach) + 1, size)):
-                px, py = np.float32(column) + _HALF - x, np.float32(row) + _HALF - y
+                px, py = _F(column) + _HALF - x, _F(row) + _HALF - y
                 # inside a convex shape every side's distance is negative; the largest tells how far
                 # the outside is
                 out = shade = -FAR
@@ -111,7 +112,7 @@ def shapes(
                 # a pixel half covered lies on the side itself: antialiasing by distance
                 cover = min(max(_HALF - out, _ZERO), _ONE)
                 lit = min(max(_HALF - shade / soft, _ZERO), _ONE)
-                lit = 1 - np.float32(dark) * lit
+                lit = 1 - _F(dark) * lit
                 hidden[row, column] |= cover > 0.5
                 for c in range(3):
                     below = lit * picture[row, column, c]
@@ -154,20 +155,20 @@ def stamp(
         square, place: float32 (2, size, size), squared distance, and place along the curve in
             pieces, of the lower and the upper layer; `square` must hold FAR.
     """
-    size, limit = square.shape[1], np.float32(reach * reach)
+    size, limit = square.shape[1], _F(reach * reach)
     for k in range(len(curve)):
         if after[k] == k:
             continue
         x0, y0 = curve[k, 0], curve[k, 1]
         dx, dy = curve[after[k], 0] - x0, curve[after[k], 1] - y0
         # a piece without a length is a point; 1e-9 keeps it from being NaN
-        inverse = _ONE / max(dx * dx + dy * dy, np.float32(1e-9))
+        inverse = _ONE / max(dx * dx + dy * dy, _F(1e-9))
         left, right = int(max(min(x0, x0 + dx) - reach, 0)), int(max(x0, x0 + dx) + reach) + 1
         top, bottom = int(max(min(y0, y0 + dy) - reach, 0)), int(max(y0, y0 + dy) + reach) + 1
         for row in range(top, min(bottom, size)):
-            py = np.float32(row) + _HALF - y0
+            py = _F(row) + _HALF - y0
             for column in range(left, min(right, size)):
-                px = np.float32(column) + _HALF - x0
+                px = _F(column) + _HALF - x0
                 # where along the piece the pixel's nearest point is: projected, then clamped
                 t = (px * dx + py * dy) * inverse
                 # the upper layer ends square, on the lower one, which goes on below it
@@ -175,25 +176,23 @@ def stamp(
                     (t < 0 and flags[k] & FIRST) or (t > 1 and flags[k] & LAST)
                 )
                 # a place belongs to this piece, not to the beginning of the next
-                t = min(max(t, _ZERO), np.float32(0.9999))
+                t = min(max(t, _ZERO), _F(0.9999))
                 ex, ey = px - t * dx, py - t * dy
                 d = ex * ex + ey * ey
                 if d > limit:
                     continue
                 if upper and d < square[1, row, column]:
-                    square[1, row, column], place[1, row, column] = d, np.float32(k) + t
+                    square[1, row, column], place[1, row, column] = d, _F(k) + t
                 if flags[k] & UNDER and d < square[0, row, column]:
-                    square[0, row, column], place[0, row, column] = d, np.float32(k) + t
+                    square[0, row, column], place[0, row, column] = d, _F(k) + t
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _arcsine_share(u: Any) -> Any:
     """Return arcsin(u) / (2 pi) (Abramowitz and Stegun 4.4.45)."""
     a = abs(u)
-    bent = np.float32(1.5707288) + a * (
-        np.float32(-0.2121144) + a * (np.float32(0.074261) - a * np.float32(0.0187293))
-    )
-    share = (np.float32(1.5707963) - np.sqrt(max(_ONE - a, _ZERO)) * bent) / _TURN
+    bent = _F(1.5707288) + a * (_F(-0.2121144) + a * (_F(0.074261) - a * _F(0.0187293)))
+    share = (_F(1.5707963) - np.sqrt(max(_ONE - a, _ZERO)) * bent) / _TURN
     return share if u >= 0 else -share
 
 
@@ -227,7 +226,7 @@ def compose(
     hx, hy, hz = hx * norm, hy * norm, hz * norm
     # the shadow falls away from the light, about as far as the rope is thick
     right, down = int(np.floor(radius * light[0] + _HALF)), int(np.floor(radius * light[1] + _HALF))
-    soft, near = np.float32(0.8) * radius + _ONE, np.float32(0.7) * radius + _ONE
+    soft, near = _F(0.8) * radius + _ONE, _F(0.7) * radius + _ONE
     colour = np.empty(3, np.float32)
     for row in range(size):
         for column in range(size):
@@ -239,7 +238,7 @@ def compose(
             s = min(max(_HALF + (radius - d) / (2 * soft), _ZERO), _ONE)
             # smoothstep of the distance: a soft edge; the second shadow is contact, darkest beside
             # the rope
-            lit = _ONE - np.float32(0.7) * dark * s * s * (3 - 2 * s)
+            lit = _ONE - _F(0.7) * dark * s * s * (3 - 2 * s)
             low, high = np.sqrt(square[0, row, column]), np.sqrt(square[1, row, column])
             s = min(max(_ONE - (min(low, high) - radius) / near, _ZERO), _ONE)
             lit -= _HALF * dark * s * s * lit
@@ -247,7 +246,7 @@ def compose(
                 colour[i] = lit * picture[row, column, i]
             # where both layers show the same stretch of rope, the nearer one is right
             apart = abs(place[0, row, column] - place[1, row, column])
-            same = max(low, high) < radius + near and min(apart, np.float32(own) - apart) <= grown
+            same = max(low, high) < radius + near and min(apart, _F(own) - apart) <= grown
             upper = high < low if same else high < radius
             p = place[1, row, column] if upper else place[0, row, column]
             if min(low, high) < radius and p < own:
@@ -260,14 +259,14 @@ def compose(
                     continue
                 p = place[layer, row, column]
                 k = min(int(p), n - 1)
-                t, j = p - np.float32(k), after[k]
+                t, j = p - _F(k), after[k]
                 tx = tangent[k, 0] + t * (tangent[j, 0] - tangent[k, 0])
                 ty = tangent[k, 1] + t * (tangent[j, 1] - tangent[k, 1])
                 tz = tangent[k, 2] + t * (tangent[j, 2] - tangent[k, 2])
                 # length of the tangent in the picture; small where the rope rises towards the eye
-                flat = np.sqrt(tx * tx + ty * ty) + np.float32(1e-6)
-                px = np.float32(column) + _HALF - curve[k, 0] - t * (curve[j, 0] - curve[k, 0])
-                py = np.float32(row) + _HALF - curve[k, 1] - t * (curve[j, 1] - curve[k, 1])
+                flat = np.sqrt(tx * tx + ty * ty) + _F(1e-6)
+                px = _F(column) + _HALF - curve[k, 0] - t * (curve[j, 0] - curve[k, 0])
+                py = _F(row) + _HALF - curve[k, 1] - t * (curve[j, 1] - curve[k, 1])
                 # across the rope, -1 to 1, signed by the side of the tangent; a round section is
                 # sqrt(1 - u^2) high
                 u = min(d / radius, _ONE) if tx * py - ty * px >= 0 else -min(d / radius, _ONE)
@@ -281,12 +280,10 @@ def compose(
                     which = int(np.floor(v)) & 1
                     v -= np.floor(v)
                     bump = 4 * v * (_ONE - v)
-                    groove = np.float32(0.45) + np.float32(0.55) * min(_ONE, np.float32(1.7) * bump)
-                    lean = np.float32(0.9) * v - np.float32(0.45)
-                    edge = radius * (np.float32(0.92) + np.float32(0.08) * bump)
-                    fibre = np.float32(0.88) + np.float32(0.2) * _smooth_noise(
-                        texture, 6 * v, 9 * turn
-                    )
+                    groove = _F(0.45) + _F(0.55) * min(_ONE, _F(1.7) * bump)
+                    lean = _F(0.9) * v - _F(0.45)
+                    edge = radius * (_F(0.92) + _F(0.08) * bump)
+                    fibre = _F(0.88) + _F(0.2) * _smooth_noise(texture, 6 * v, 9 * turn)
                 cover = min(edge - d + _HALF, _ONE)
                 if cover <= 0:
                     continue
@@ -302,17 +299,15 @@ def compose(
                 for _ in range(4):
                     sheen *= sheen
                 sky = ambient * (_HALF + _HALF * rise)
-                shade = fibre * groove * (sky + (_ONE - ambient) * np.float32(1.1) * diffuse)
+                shade = fibre * groove * (sky + (_ONE - ambient) * _F(1.1) * diffuse)
                 if layer == 0 and high < radius + near and not same:
                     s = min(_ONE - (high - radius) / near, _ONE)
-                    shade *= _ONE - np.float32(0.95) * dark * s
-                glint = np.float32(170) * gloss * sheen * groove
+                    shade *= _ONE - _F(0.95) * dark * s
+                glint = _F(170) * gloss * sheen * groove
                 for i in range(3):
                     colour[i] += cover * (shade * colours[k, which, i] + glint - colour[i])
             for i in range(3):
-                picture[row, column, i] = np.uint8(
-                    min(max(colour[i] + _HALF, _ZERO), np.float32(255))
-                )
+                picture[row, column, i] = np.uint8(min(max(colour[i] + _HALF, _ZERO), _F(255)))
 
 
 @njit(cache=True, nogil=True)
@@ -326,7 +321,7 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
         deviation: of the noise, levels.
     """
     size, byte = len(picture), np.uint32(255)
-    scale = np.float32(deviation) / np.float32(147.8)  # the sum of four bytes deviates by so much
+    scale = _F(deviation) / _F(147.8)  # the sum of four bytes deviates by so much
     for row in range(size):
         for column in range(size):
             # a hash of the pixel's number (Wellons' lowbias32)
@@ -340,10 +335,10 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
             high = (y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte)
             # a sum of four bytes has mean 510 and is nearly normal; two bytes, of colour, have mean
             # 255
-            grey = np.float32(np.int32(low) - 510) * scale + _HALF
-            tint = np.float32(np.int32(high) - 255) * scale * _HALF
-            light = 1 + slope[0] * (np.float32(column) / size - _HALF)
-            light += slope[1] * (np.float32(row) / size - _HALF)
+            grey = _F(np.int32(low) - 510) * scale + _HALF
+            tint = _F(np.int32(high) - 255) * scale * _HALF
+            light = 1 + slope[0] * (_F(column) / size - _HALF)
+            light += slope[1] * (_F(row) / size - _HALF)
             for c in range(3):
-                level = picture[row, column, c] * light * gain[c] + grey + np.float32(1 - c) * tint
-                picture[row, column, c] = np.uint8(min(max(level, _ZERO), np.float32(255)))
+                level = picture[row, column, c] * light * gain[c] + grey + _F(1 - c) * tint
+                picture[row, column, c] = np.uint8(min(max(level, _ZERO), _F(255)))

@@ -203,9 +203,8 @@ def ground_of(look: Photo, rng: Rng) -> tuple[Array, Array]:
     picture = np.empty((small, small, 3), np.uint8)
     ends = [np.array(one, np.float32) for one in (look.background, look.ground)]
     kind = SURFACES.index(look.surface)
-    kernels.surface(
-        picture, kind, texture, np.column_stack([axes, start]).astype(np.float32), *ends
-    )
+    placed = np.column_stack([axes, start]).astype(np.float32)
+    kernels.surface(picture, kind, texture, placed, *ends)
     if small < look.size:
         picture = np.asarray(cv2.resize(picture, (look.size, look.size)))
     if look.clutter:
@@ -228,12 +227,9 @@ def _lay(
         angles = rng.uniform(0, 2 * np.pi) + 2 * np.pi * (np.arange(sides) % corners) / corners
         # A regular polygon's sides are cos(pi / corners) of its reach from the middle; with twelve,
         # 0.97, it passes for a disc.
-        off = (
-            far
-            * (math.cos(math.pi / corners) if corners < 12 else 0.97)
-            * np.where(np.arange(sides) % corners % 2, rng.uniform(0.5, 1.0), 1.0)
-        )
-        outline[1:] = np.column_stack([np.cos(angles), np.sin(angles), off])
+        off = far * (math.cos(math.pi / corners) if corners < 12 else 0.97)
+        slim = np.where(np.arange(sides) % corners % 2, rng.uniform(0.5, 1.0), 1.0)
+        outline[1:] = np.column_stack([np.cos(angles), np.sin(angles), off * slim])
     light, hidden = light_of(look), np.zeros(picture.shape[:2], np.uint8)
     shift = (-0.012 * look.size * light[:2]).astype(np.float32)
     kernels.shapes(picture, hidden, outlines, colours.astype(np.float32), shift, 0.5 * look.shadow)
