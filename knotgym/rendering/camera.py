@@ -203,29 +203,38 @@ def project(
         in front of it.
     """
     points = np.asarray(points, dtype=np.float64)
+    return np.ascontiguousarray(in_picture(points, config, center)[0][..., :2])
+
+
+def in_picture(
+    points: NDArray[np.float64], config: PictureConfig, center: ArrayLike | None = None
+) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    """Project ropes (..., beads, 3), metres, for `picture.paint`; see `project`.
+
+    Returns:
+        float64 (..., beads, 4): pixel coordinates, height and radius of the rope, pixels; and the
+        height of the centre of mass with the range of heights that a picture's depth shows. In
+        perspective, heights are the negative distance to the camera at the scale of the centre.
+    """
     middle = points.mean(axis=-2, keepdims=True) if center is None else np.asarray(center)
-    offset = points - middle
-    right, up = offset[..., 0], offset[..., 1]
+    offset, at_centre, central = points - middle, config.pixels_per_metre, 0.0
+    right, up, height = offset[..., 0], offset[..., 1], offset[..., 2]
     # The camera turns anticlockwise, so the picture turns the other way: a rotation by -turn.
     if config.turn != 0.0:
         cos, sin = math.cos(config.turn), math.sin(config.turn)
         right, up = cos * right + sin * up, cos * up - sin * right
-    scale = pixels_per_metre_at(offset, config)
-    return np.stack([0.5 * config.size + scale * right, 0.5 * config.size - scale * up], axis=-1)
-
-
-def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> NDArray[np.float64]:
-    """Return the scale of the picture at points (n, 3), relative to the centre of mass, metres.
-
-    Returns:
-        float64, shape (n,), NaN behind the near plane of the perspective camera.
-    """
-    if config.fovy is None:
-        return np.full(offset.shape[:-1], config.pixels_per_metre)
-    # Similar triangles: at the centre of mass the scale is `pixels_per_metre`, at half its distance
-    # from the camera twice that.
-    depth = config.camera_height - offset[..., 2]
-    return config.pixels_per_metre * config.camera_height / np.where(depth > NEAR, depth, np.nan)
+    scale = np.full(height.shape, at_centre)
+    if config.fovy is not None:
+        # Similar triangles: at half the centre's distance from the camera the scale is twice that.
+        # Each vertex has a radius of its own, as perspective widens what is near.
+        away = config.camera_height - height
+        scale = at_centre * config.camera_height / np.where(away > NEAR, away, np.nan)
+        # negative, so that nearer is higher under both cameras
+        height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=-1)
+        central = -config.camera_height
+    x, y = 0.5 * config.size + scale * right, 0.5 * config.size - scale * up
+    ropes = np.stack([x, y, at_centre * height, config.drawn_radius * scale], axis=-1)
+    return ropes, (at_centre * central, at_centre * config.view)
 
 
 def checked_points(points: ArrayLike, *axes: int) -> NDArray[np.float64]:

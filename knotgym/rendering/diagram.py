@@ -23,10 +23,11 @@ from knotgym.rendering.camera import (
     PictureConfig,
     bead_colours,
     checked_points,
+    in_picture,
     project,
     seen_from,
 )
-from knotgym.rendering.picture import in_picture, paint
+from knotgym.rendering.picture import paint
 from knotgym.topology import Crossings, GaussCode, find_crossings
 
 Array = NDArray[np.float64]

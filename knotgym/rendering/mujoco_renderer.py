@@ -26,7 +26,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed
+from knotgym.common import Failed, one_line
 from knotgym.rendering.camera import NEAR, PictureConfig
 
 _MARGIN = 0.5  # free space above and below the rope, metres
@@ -71,9 +71,7 @@ class _Painter:
             self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         # backends raise ImportError, AttributeError, RuntimeError, GLError or FatalError
         except Exception as error:
-            raise _unavailable(
-                f"{backend}: {(str(error).strip() or type(error).__name__).splitlines()[0]}"
-            ) from error
+            raise _unavailable(f"{backend}: {one_line(error) or type(error).__name__}") from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._model, self._side = model, side
 
@@ -119,8 +117,8 @@ class _Painter:
         self._gl.free()
 
 
+# (process, thread, side of the canvas) -> painter; a fork has those of its ancestors, too
 _painters: dict[tuple[int, int, int], _Painter] = {}
-_processes: set[int] = set()  # ids of processes that created a context: this one and its ancestors
 
 
 def draw(
@@ -132,19 +130,16 @@ def draw(
         Failed: no OpenGL context can be created.
     """
     side = config.size * _SAMPLES
-    process = os.getpid()
-    key = (process, threading.get_ident(), side)
+    key = (os.getpid(), threading.get_ident(), side)
     if key not in _painters:
-        if _processes - {process}:
+        if {process for process, *_ in _painters} - {key[0]}:
             raise _unavailable(
                 "this process was forked from one that had drawn already",
                 "start workers by 'spawn' or 'forkserver', or use renderer='opencv'",
             )
         _painters[key] = _Painter(side)
-        # registered after the first context, so that it runs before the backend's own exit handler
-        if not _processes:
-            atexit.register(_close)
-        _processes.add(process)
+        # registered after a context, so that it runs before the backend's own exit handler
+        atexit.register(_close)
     picture = _painters[key](points, colours, config)
     # halving twice is three times as fast as one reduction by four
     for shrunk in (2 * config.size, config.size):
@@ -204,10 +199,9 @@ def _backend() -> str:
         raise _unavailable(f"MUJOCO_GL={chosen}")
     if platform.system() != "Linux":
         return "cgl" if platform.system() == "Darwin" else "glfw"
-    libraries = {"egl": "EGL", "osmesa": "OSMesa"}
-    found = [name for name, library in libraries.items() if ctypes.util.find_library(library)]
+    for library in ("EGL", "OSMesa"):
+        if ctypes.util.find_library(library):
+            return library.lower()
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        found.append("glfw")
-    if not found:
-        raise _unavailable("neither libEGL nor libOSMesa is installed and there is no display")
-    return found[0]
+        return "glfw"
+    raise _unavailable("neither libEGL nor libOSMesa is installed and there is no display")

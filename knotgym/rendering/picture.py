@@ -29,8 +29,7 @@ from knotgym.rendering.camera import (
     PictureConfig,
     bead_colours,
     checked_points,
-    pixels_per_metre_at,
-    project,
+    in_picture,
     require,
     seen_from,
 )
@@ -105,34 +104,6 @@ def _draw_all(
     squares = out.reshape(-1, size, *out.shape[2:])
     paint(*in_picture(ropes, config), colours, np.empty((0, 5)), squares)
     return out
-
-
-def in_picture(
-    points: Array, config: PictureConfig, center: Array | None = None
-) -> tuple[Array, tuple[float, float]]:
-    """Project ropes (m, beads, 3) for `paint`.
-
-    Args:
-        points: metres.
-        config: settings of the picture.
-        center: see `project`; by default the mean of each rope.
-
-    Returns:
-        `ropes` and `depths` of `paint`. Half of the depths are in front of the centre of mass; in
-        perspective, heights are the negative distance to the camera at the scale of the centre.
-    """
-    offset = points - (points.mean(axis=1, keepdims=True) if center is None else center)
-    height, middle, scale = offset[..., 2], 0.0, config.pixels_per_metre
-    if config.fovy is not None:
-        # negative, so that nearer is higher under both cameras
-        height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=-1)
-        middle = -config.camera_height
-    # each vertex has a radius of its own, as perspective widens what is near
-    radius = config.drawn_radius * pixels_per_metre_at(offset, config)
-    ropes = np.empty((*height.shape, 4))
-    ropes[..., :2], ropes[..., 2] = project(points, config, center), scale * height
-    ropes[..., 3] = radius
-    return ropes, (scale * middle, scale * config.view)
 
 
 @njit(cache=True, nogil=True)
