@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput
+from knotgym.common import Failed, InvalidInput
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import Observer
 from knotgym.envs.tasks import TaskConfig
@@ -21,8 +22,6 @@ from knotgym.rope import action_space, warn_of_compilation
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
-
-    from knotgym.rendering import PictureWindow
 
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
@@ -79,11 +78,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         self.config = TaskConfig.of(task, settings)
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array", "human")
-        self._window: PictureWindow | None = None
-        if render_mode == "human":
-            from knotgym.rendering import PictureWindow
-
-            self._window = PictureWindow(_FPS)
+        self._window = _Window() if render_mode == "human" else None
         self.episodes = EpisodeBatch(self.config)
         self.observation_space = Observer(self.config).space
         self.action_space = action_space(self.config.action, self.config.beads)
@@ -129,14 +124,63 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
     def _show(self, outcome: str = "") -> None:
         """Draw the state in the window of render mode "human"."""
         if self._window is not None:
-            self._window.show(
-                self.episodes.simulation.points[0],
-                self.episodes.goal_points(0),
-                int(self.episodes.steps[0]),
-                self.config.horizon,
-                outcome,
-                self.config.views,
-            )
+            self._window.show(self.episodes, outcome)
+
+
+class _Window:
+    """The window of render mode "human".
+
+    Raises:
+        Failed: pygame isn't installed; from `show`, there is no display.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import pygame
+        except ModuleNotFoundError as error:
+            raise Failed(
+                "render_mode 'human' needs pygame, which isn't installed: pip install pygame"
+            ) from error
+        self._pygame: Any = pygame
+        self._screen: Any = None
+        self._side = 0.0
+
+    def show(self, episodes: EpisodeBatch, outcome: str) -> None:
+        """Draw the state of a batch's first rope beside its goal, and wait to keep the frame rate.
+
+        The window opens with the first frame, and doesn't zoom in during an episode.
+        """
+        # here, since a film needs PIL
+        from knotgym.rendering import Film
+
+        pygame, step, views = self._pygame, int(episodes.steps[0]), episodes.task.views
+        ropes = episodes.simulation.points[0], episodes.goal_points(0)
+        self._side = max(Film.side(ropes, views), self._side if step else 0.0)
+        heading = f"step {step} of {episodes.task.horizon}"
+        frame = Film.frame(*ropes, heading, None, outcome, views, self._side)
+        if self._screen is None:
+            # A window that SDL fills by OpenGL holds this thread's context: beside it MuJoCo's
+            # renderer could make none by EGL, and would crash by OSMesa.
+            os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
+            try:
+                pygame.display.init()
+                self._screen = pygame.display.set_mode(frame.shape[1::-1])
+            except pygame.error as error:
+                raise Failed(
+                    f"render_mode 'human' needs a display ({error}); use 'rgb_array' without one"
+                ) from error
+            pygame.display.set_caption("knotgym")
+            self._clock = pygame.time.Clock()
+        self._screen.blit(pygame.surfarray.make_surface(frame.swapaxes(0, 1)), (0, 0))
+        pygame.event.pump()
+        pygame.display.flip()
+        self._clock.tick(_FPS)
+
+    def close(self) -> None:
+        """Close the window; a later frame opens a new one."""
+        if self._screen is not None:
+            self._pygame.display.quit()
+            self._screen = None
 
 
 class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):

@@ -16,4 +16,3 @@ from .variation import Appearance as Appearance
 from .variation import Drawer as Drawer
 from .variation import Drawn as Drawn
 from .video import Film as Film
-from .video import PictureWindow as PictureWindow

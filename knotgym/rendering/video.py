@@ -1,4 +1,4 @@
-"""Videos of a rope beside its goal, with their codes below, and the window that shows the same.
+"""Videos of a rope beside its goal, with their codes below.
 
 Videos are mp4, webm or gif, and all of them play in a browser: .mp4 files hold H.264 and .webm
 files VP9, both encoded by PyAV (extra `video`).
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.common import Failed, InvalidInput, MissingExtra, atomic_write
+from knotgym.common import InvalidInput, MissingExtra, atomic_write
 from knotgym.rendering.camera import seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology import label
@@ -63,46 +63,6 @@ def _write(picture: NDArray[np.uint8], text: str, x: int, y: int, size: float = 
     cv2.putText(picture, text, (x, y), _FONT, size, _WHITE, 1, cv2.LINE_AA)
 
 
-def _film_frame(
-    points: Array,
-    goal: Array,
-    heading: str,
-    pull: tuple[int, Array] | None = None,
-    outcome: str = "",
-    views: Sequence[str] = ("top",),
-    side: float | None = None,
-) -> NDArray[np.uint8]:
-    """Draw a rope beside its goal, the next pull as an arrow, and both codes below.
-
-    Args:
-        points, goal: float64 (beads, 3), metres.
-        heading: first line of the caption.
-        pull: a bead and the force on it, (3,), in units of the largest force.
-        outcome: "reached" or "failed", written large in green or red with a border; "" for none.
-        views: views stacked vertically, see `draw_diagram`.
-        side: side of each half, metres; by default both ropes fit.
-
-    Returns:
-        uint8 (height, width, 3), RGB, 768 pixels wide.
-    """
-    drawing: dict[str, Any] = {"size": _WIDTH, "side": side or _film_side([points, goal], views)}
-    halves = [
-        np.concatenate([draw_diagram(rope, view=view, pull=arrow, **drawing) for view in views])
-        for rope, arrow in ((points, pull), (goal, None))
-    ]
-    codes = [str(label(rope)) or "the plain loop" for rope in (points, goal)]
-    lines = [heading, f"now   {codes[0]}", f"goal  {codes[1]}"]
-    frame = _captioned(np.concatenate(halves, axis=1), lines, outcome)
-    for column, name in ((0, "now"), (_WIDTH, "goal")):
-        _write(frame, name, column + 12, _TEXT + 6)
-    return frame
-
-
-def _film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
-    """Return the side, metres, in which every rope with its arrow fits in every view."""
-    return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
-
-
 class Film:
     """A video that is to be written as .gif, .mp4 or .webm.
 
@@ -133,6 +93,46 @@ class Film:
             first.save(temporary, save_all=True, append_images=others, duration=lasting, loop=0)
 
     @staticmethod
+    def frame(
+        points: Array,
+        goal: Array,
+        heading: str,
+        pull: tuple[int, Array] | None = None,
+        outcome: str = "",
+        views: Sequence[str] = ("top",),
+        side: float | None = None,
+    ) -> NDArray[np.uint8]:
+        """Draw a rope beside its goal, the next pull as an arrow, and both codes below.
+
+        Args:
+            points, goal: float64 (beads, 3), metres.
+            heading: first line of the caption.
+            pull: a bead and the force on it, (3,), in units of the largest force.
+            outcome: "reached" or "failed", written large with a border; "" for none.
+            views: views stacked vertically, see `draw_diagram`.
+            side: side of each half, metres; by default both ropes fit.
+
+        Returns:
+            uint8 (height, width, 3), RGB, 768 pixels wide.
+        """
+        drawing: dict[str, Any] = {"size": _WIDTH, "side": side or Film.side([points, goal], views)}
+        halves = [
+            np.concatenate([draw_diagram(rope, view=view, pull=arrow, **drawing) for view in views])
+            for rope, arrow in ((points, pull), (goal, None))
+        ]
+        codes = [str(label(rope)) or "the plain loop" for rope in (points, goal)]
+        lines = [heading, f"now   {codes[0]}", f"goal  {codes[1]}"]
+        frame = _captioned(np.concatenate(halves, axis=1), lines, outcome)
+        for column, name in ((0, "now"), (_WIDTH, "goal")):
+            _write(frame, name, column + 12, _TEXT + 6)
+        return frame
+
+    @staticmethod
+    def side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
+        """Return the side, metres, in which every rope with its arrow fits in every view."""
+        return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
+
+    @staticmethod
     def frames(
         ropes: Sequence[Array],
         goal: Array,
@@ -147,15 +147,15 @@ class Film:
             ropes: T + 1 states, float64 (beads, 3) each, metres.
             goal: float64 (beads, 3), metres.
             headings: first line of the caption of each state.
-            pulls: the T pulls between the states, as in `_film_frame`.
+            pulls: the T pulls between the states, as in `frame`.
             reached: for each state, whether it reaches the goal.
-            views: as in `_film_frame`.
+            views: as in `frame`.
         """
-        side = _film_side([*ropes, goal], views)
+        side = Film.side([*ropes, goal], views)
         outcomes = ["reached" if done else "" for done in reached]
         outcomes[-1] = outcomes[-1] or "failed"
         shown = [
-            _film_frame(rope, goal, heading, pull, outcome, views, side)
+            Film.frame(rope, goal, heading, pull, outcome, views, side)
             for rope, heading, pull, outcome in zip(
                 ropes, headings, [*pulls, None], outcomes, strict=True
             )
@@ -187,72 +187,3 @@ def _pyav() -> Any:
     except ModuleNotFoundError as error:
         raise MissingExtra("PyAV", "video", "a video that is no .gif") from error
     return av
-
-
-class PictureWindow:
-    """A window that opens with the first frame and doesn't zoom in during an episode.
-
-    Raises:
-        Failed: pygame isn't installed; from `show`, there is no display.
-    """
-
-    def __init__(self, frames_per_second: int) -> None:
-        try:
-            import pygame
-        except ModuleNotFoundError as error:
-            raise Failed(
-                "render_mode 'human' needs pygame, which isn't installed: pip install pygame"
-            ) from error
-        self._pygame: Any = pygame
-        self._rate, self._side = frames_per_second, 0.0
-        self._screen: Any = None
-        self._clock: Any = None
-
-    def show(
-        self,
-        points: Array,
-        goal: Array,
-        step: int,
-        horizon: int,
-        outcome: str,
-        views: Sequence[str],
-    ) -> None:
-        """Draw a state beside its goal, and wait to keep the frame rate.
-
-        Args:
-            points, goal: float64 (beads, 3), metres.
-            step: actions taken in the episode; 0 starts a new episode.
-            horizon: length of the episode.
-            outcome, views: as in `_film_frame`.
-        """
-        needed = _film_side([points, goal], views)
-        self._side = max(needed, self._side if step else 0.0)
-        heading = f"step {step} of {horizon}"
-        frame = _film_frame(points, goal, heading, None, outcome, views, self._side)
-        if self._screen is None:
-            self._open(frame.shape[1::-1])
-        picture = self._pygame.surfarray.make_surface(frame.swapaxes(0, 1))
-        self._screen.blit(picture, (0, 0))
-        self._pygame.event.pump()
-        self._pygame.display.flip()
-        self._clock.tick(self._rate)
-
-    def close(self) -> None:
-        """Close the window; a later frame opens a new one."""
-        if self._screen is not None:
-            self._pygame.display.quit()
-            self._screen = None
-
-    def _open(self, size: tuple[int, int]) -> None:
-        # A window that SDL fills by OpenGL holds this thread's context: beside it MuJoCo's renderer
-        # could make none by EGL, and would crash by OSMesa.
-        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
-        try:
-            self._pygame.display.init()
-            self._screen = self._pygame.display.set_mode(size)
-        except self._pygame.error as error:
-            raise Failed(
-                f"render_mode 'human' needs a display ({error}); use 'rgb_array' without one"
-            ) from error
-        self._pygame.display.set_caption("knotgym")
-        self._clock = self._pygame.time.Clock()

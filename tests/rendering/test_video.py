@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import MissingExtra
-from knotgym.rendering.video import FRAMES_PER_SECOND, Film, _film_frame
+from knotgym.rendering.video import FRAMES_PER_SECOND, Film
 from knotgym.rope import Rope
 
 from ..conftest import curled
@@ -50,8 +50,8 @@ def test_a_film_that_needs_pyav_names_the_extra(
 
 def test_a_frame_shows_the_pull_and_says_the_plain_loop() -> None:
     loop = Rope().loop()
-    plain = _film_frame(loop, loop, "step 0 of 1")
-    pulled = _film_frame(loop, loop, "step 0 of 1", (0, np.array([0.0, 1.0, 0.0])))
+    plain = Film.frame(loop, loop, "step 0 of 1")
+    pulled = Film.frame(loop, loop, "step 0 of 1", (0, np.array([0.0, 1.0, 0.0])))
     moved = np.argwhere((pulled != plain).any(axis=2))
     assert moved[:, 1].max() < 384  # on the rope's half
     # upwards, +y: the bead's place is the arrow's lowest point
@@ -63,7 +63,7 @@ def test_a_frame_names_its_halves_and_has_both_codes_in_one_notation(
 ) -> None:
     said: list[str] = []
     monkeypatch.setattr("cv2.putText", lambda frame, text, *_: said.append(text))
-    _film_frame(Rope().loop(), Rope().from_curve(curled(1)), "step 0 of 1")
+    Film.frame(Rope().loop(), Rope().from_curve(curled(1)), "step 0 of 1")
     assert said == ["step 0 of 1", "now   the plain loop", "goal  1+,1-", "now", "goal"]
 
 
@@ -81,6 +81,6 @@ def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
     frames = Film.frames([loop, loop / 2], loop, ["0", "1"], [(0, np.zeros(3))], [False, False])
     wide = [
         np.ptp(np.flatnonzero((frame[40:340, :384].max(axis=2) > 60).any(axis=0)))
-        for frame in (frames[0], _film_frame(loop / 2, loop, "1"))
+        for frame in (frames[0], Film.frame(loop / 2, loop, "1"))
     ]
     assert 1.8 < wide[0] / wide[1] < 2.2
