@@ -13,6 +13,7 @@ and smoothing must leave the code alone.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ from knotgym.rendering.camera import (
 from knotgym.rendering.picture import paint
 from knotgym.topology import Crossings, GaussCode, find_crossings
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 BACKGROUND = (7, 8, 12)  # RGB
 _PARTS = 4  # pieces of the smooth curve per bead
