@@ -30,7 +30,7 @@ from rich.console import Console
 from knotgym.common import Stream
 from knotgym.control import replay
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, evaluate, recordings
+from knotgym.generate import EvaluateConfig, evaluate
 from knotgym.rope import CHAIN, MUJOCO, ChainSimulation, Rope, RopeConfig, Simulation, simulation
 from knotgym.runs import RunOptions, wilson
 from knotgym.states import read_states, shipped
@@ -124,7 +124,7 @@ def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, An
 
 def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     told: dict[str, Any] = {}
-    for name, recording in recordings().items():
+    for name, recording in Recording.read_all().items():
         config = recording.config
         if config.policy.policy != "expert":
             continue

@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 
 from knotgym.datasets import open_episodes
-from knotgym.generate import Recording, SuiteConfig, recordings, write_recordings
+from knotgym.generate import Recording, SuiteConfig
 
 RECORDINGS = Path(__file__).parents[1] / "knotgym/generate/episodes/data/recordings.h5"
 
@@ -25,12 +25,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="--out of knotgym suite")
     parser.add_argument("--out", type=Path, default=RECORDINGS)
     args = parser.parse_args()
-    kept = dict(recordings(args.out)) if args.out.exists() else {}
+    kept = dict(Recording.read_all(args.out)) if args.out.exists() else {}
     for config in SuiteConfig(policies=("noisy", "expert", "play")).sets():
         made = args.folder / config.dataset_id
         if made.exists():
             kept[config.dataset_id] = Recording.of(config, open_episodes(made).episodes)
-    write_recordings(args.out, [*kept.values()])
+    Recording.write_all(args.out, [*kept.values()])
     size = args.out.stat().st_size
     Console().print(f"{args.out.name}: {len(kept)} datasets, {size:,} bytes")
 

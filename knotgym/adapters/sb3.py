@@ -26,8 +26,7 @@ def sb3_vec_env(
         MissingExtra: Stable-Baselines3 isn't installed.
         InvalidInput: a setting is invalid.
     """
-    try:
-        from knotgym.adapters.batched_vec_env import BatchedVecEnv
-    except ModuleNotFoundError as error:
-        raise MissingExtra(str(error.name), "pip install stable-baselines3") from error
+    MissingExtra.imported("stable_baselines3", "pip install stable-baselines3")
+    from knotgym.adapters.batched_vec_env import BatchedVecEnv
+
     return BatchedVecEnv(task, num_envs, threads, goals, settings)

@@ -54,7 +54,7 @@ def generate(
     if codes is not None:
         count = given.get("count") if given.has("count") else None
         rng = Stream.SELECTION.generator(given.get("seed"), 2)
-        found = code_list(codes, more.get("nx"), count, rng)
+        found = _code_list(codes, more.get("nx"), count, rng)
         more["nx"] = tuple(dict.fromkeys(code.nx for code in found))
         more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]
         more["every_code"] = given.get("every_code") or 1
@@ -65,7 +65,7 @@ def generate(
         given.progress.say_how_to_load(loading_lines(shown, root))
 
 
-def code_list(
+def _code_list(
     path: Path, nx: Sequence[int] | None, count: int | None, rng: np.random.Generator
 ) -> list[GaussCode]:
     """Read Gauss, PD or DT codes from a file; see `parse_codes`.

@@ -40,7 +40,14 @@ _FACTS = TextWrapper(
 
 def show(named: str, console: Console) -> None:
     """Print a summary of a dataset or of transcripts."""
-    if print_transcripts(named, console):
+    if transcripts := show_transcripts(named):
+        facts, rows = transcripts
+        _print_facts(facts, console)
+        if rows:
+            table = narrow_table(rows[0], left=rows[0][:1])
+            for row in rows[1:]:
+                table.add_row(*row)
+            console.print(table)
         return
     found = locate(named)
     if found.kind == "episodes":
@@ -139,21 +146,6 @@ def _episode_film(path: Path, row: int) -> tuple[list[Image], int, str]:
 def _require_row(row: int, count: int) -> None:
     if row >= count:
         raise InvalidInput(f"there is no row {row}; the dataset has {count} rows, counted from 0")
-
-
-def print_transcripts(path: str | Path, console: Console) -> bool:
-    """Print totals of the transcripts in a file or a folder; return whether it has any."""
-    found = show_transcripts(path)
-    if found is None:
-        return False
-    facts, rows = found
-    _print_facts(facts, console)
-    if rows:
-        table = narrow_table(rows[0], left=rows[0][:1])
-        for row in rows[1:]:
-            table.add_row(*row)
-        console.print(table)
-    return True
 
 
 def _print_facts(facts: Mapping[str, Any], console: Console) -> None:

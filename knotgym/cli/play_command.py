@@ -1,6 +1,5 @@
 """The command `knotgym play`."""
 
-import importlib.util
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -28,8 +27,7 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
         out: Minari root to write to; Minari's own by default.
     """
     config, progress = given.config(PageConfig), given.progress
-    if importlib.util.find_spec("viser") is None:
-        raise MissingExtra("viser", "play", "knotgym play")
+    MissingExtra.imported("viser", "play", "knotgym play")
     from knotgym.play import serve
     from knotgym.runs import compile_first
 

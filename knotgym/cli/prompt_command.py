@@ -65,9 +65,9 @@ def prompt(
 
     run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
     if not given.quiet:
-        from knotgym.cli.inspection import print_transcripts
+        from knotgym.cli.inspection import show as look
 
-        print_transcripts(folder, given.progress.console)
+        look(str(folder), given.progress.console)
 
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:

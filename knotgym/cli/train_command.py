@@ -1,6 +1,5 @@
 """The command `knotgym train`."""
 
-import importlib.util
 from pathlib import Path
 
 from knotgym.cli.options import EXISTING, Given, command
@@ -38,8 +37,7 @@ def train(
     else:
         config = given.config(ReaderConfig)
     for library in ("torch", "safetensors"):
-        if importlib.util.find_spec(library) is None:
-            raise MissingExtra(library, "learn", "knotgym train")
+        MissingExtra.imported(library, "learn", "knotgym train")
     from knotgym.learn import train as train_learner
 
     train_learner(data or [], out, config, given.run, given.progress)

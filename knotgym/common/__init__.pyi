@@ -1,6 +1,4 @@
 from .atomic_files import atomic_write as atomic_write
-from .atomic_files import atomic_writes as atomic_writes
-from .atomic_files import copy_file as copy_file
 from .atomic_files import move_into_place as move_into_place
 from .atomic_files import remove as remove
 from .atomic_files import require_no_links as require_no_links

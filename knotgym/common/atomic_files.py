@@ -13,7 +13,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -116,33 +116,25 @@ def _require_writable(target: Path) -> None:
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
+def atomic_write(
+    path: str | os.PathLike[str], *names: str, overwrite: bool = True
+) -> Iterator[Path]:
     """Yield a temporary path beside `path`; what is written there is renamed to `path` at the end.
 
-    Write a file there or make a folder. See `atomic_writes`.
+    Write a file there or make a folder. With `names`, it is a folder, and its files of these names
+    move into the folder `path`, one right after the other. On an error nothing does; if the process
+    is killed, only a folder named `.part-*` is left. Raises Occupied as `move_into_place` does.
     """
-    target = Path(path)
-    with atomic_writes(target.parent, [target.name], overwrite=overwrite) as staged:
-        yield staged / target.name
-
-
-@contextmanager
-def atomic_writes(root: Path, names: Sequence[str], *, overwrite: bool = True) -> Iterator[Path]:
-    """Yield a temporary folder; the files and folders of these names in it move to `root` together.
-
-    They move at the end, one right after the other. On an error nothing does; if the process is
-    killed, only a folder named `.part-*` is left. Raises Occupied as `move_into_place` does.
-    """
+    root, own = (Path(path), names) if names else (Path(path).parent, [Path(path).name])
     root.mkdir(parents=True, exist_ok=True)
-    prefix = f".part-{Path(names[0]).name[:32]}-"
-    staged = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
+    staged = Path(tempfile.mkdtemp(prefix=f".part-{Path(own[0]).name[:32]}-", dir=root))
     try:
-        yield staged
+        yield staged if names else staged / own[0]
         for file in staged.rglob("*"):
             if file.is_file():  # must be on the disk before it gets its name
                 with open(file, "rb+") as handle:
                     os.fsync(handle.fileno())
-        for name in names:
+        for name in own:
             (root / name).parent.mkdir(parents=True, exist_ok=True)
             move_into_place(staged / name, root / name, overwrite=overwrite)
     finally:
@@ -260,15 +252,6 @@ def require_no_links(root: Path, files: Iterable[Path]) -> None:
                     f"{step} is a link, and only a dataset's own files are copied; replace it by"
                     " the file itself"
                 )
-
-
-def copy_file(source: Path, target: Path) -> None:
-    """Copy the bytes of a regular file; raise OSError for a link or anything else."""
-    with open(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "not a regular file", str(source))
-        with open(target, "wb") as copy:
-            shutil.copyfileobj(file, copy)
 
 
 def require_regular(

@@ -2,6 +2,9 @@
 it is raised.
 """
 
+import importlib
+import sys
+from pathlib import Path
 from typing import Any
 
 
@@ -54,6 +57,24 @@ class MissingExtra(KnotgymError, ImportError):
         # from a checkout: in the package index, the name belongs to the published KnotGym
         how = how if " " in how else f"pip install '.[{how}]'"
         super().__init__(f"{user} needs {needed}, which isn't installed; install it: {how}")
+
+    @classmethod
+    def imported(cls, module: str, how: str, user: str = "this") -> Any:
+        """Import an optional module; raise this error, with its arguments, if it isn't installed.
+
+        A checkout of knotgym has a link `datasets` at its top, which would shadow Hugging Face's
+        `datasets` when Python runs from there, so such entries of `sys.path` are skipped.
+        """
+        if found := sys.modules.get(module):
+            return found
+        searched, link = list(sys.path), ("knotgym", module)
+        sys.path[:] = [one for one in searched if (Path(one) / module).resolve().parts[-2:] != link]
+        try:
+            return importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            raise cls(str(error.name), how, user) from error
+        finally:
+            sys.path[:] = searched
 
 
 def one_line(said: object) -> str:

@@ -22,14 +22,12 @@ from .episodes import STEPS as STEPS
 from .episodes import Episodes as Episodes
 from .episodes import Shown as Shown
 from .episodes import code_sizes as code_sizes
-from .episodes import gauss_code as gauss_code
 from .episodes import gauss_codes as gauss_codes
 from .episodes import ranges as ranges
 from .exports import export as export
 from .exports import export_help as export_help
 from .gallery import write_sheet as write_sheet
 from .image_rows import PictureRow as PictureRow
-from .image_rows import drawn as drawn
 from .image_rows import drawn_table as drawn_table
 from .image_table import arrow as arrow
 from .image_table import decode as decode

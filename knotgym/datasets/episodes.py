@@ -186,6 +186,31 @@ class Episodes(NamedTuple):
         return cls(*tables)
 
     @classmethod
+    def to_repeat(
+        cls, lengths: NDArray[np.int64], pulls: Mapping[str, NDArray[Any]], policy: str
+    ) -> "Episodes":
+        """Return episodes of so many pulls each, to be played; `pulls` returns these again.
+
+        Args:
+            lengths: int64 (n,).
+            pulls: columns of PULLS, one row a pull, episode after episode.
+            policy: name of the policy that acted.
+        """
+        schema = PULLS.only(*pulls)
+        steps = schema.empty(int(lengths.sum()) + len(lengths))
+        # a pull a row there, a state a row here: the last state of an episode has none
+        at = np.arange(int(lengths.sum())) + np.repeat(np.arange(len(lengths)), lengths)
+        for name, values in steps.items():
+            values[at] = pulls[name]
+        own = {"length": lengths, "planner_steps": np.zeros_like(lengths)}
+        own["policy"] = np.full(len(lengths), policy)
+        return cls(Table(RECORDED.only(*own), own), Table(schema, steps))
+
+    def pulls(self) -> Table:
+        """Return the rows of steps in which a pull is made: all but the last of each episode."""
+        return self.steps.take(np.delete(np.arange(self.steps.rows), self.last()))
+
+    @classmethod
     def merged(cls, sets: Sequence["Episodes"]) -> "Episodes":
         """Return all episodes, one set after the other."""
         if not sets:
@@ -356,27 +381,21 @@ def _code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
 def gauss_codes(
     visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None
 ) -> NDArray[np.str_]:
-    """Write codes as text, with chirality if signs are given: str (n,)."""
-    both = visits if signs is None else np.concatenate([visits, signs.astype(np.int16)], axis=1)
-    ids = _code_ids(both)
-    first = np.unique(ids, return_index=True)[1]
-    if signs is None:
-        texts = [str(gauss_code(visits[row])) for row in first]
-    else:
-        texts = [gauss_code(visits[row], signs[row]).chiral for row in first]
-    return np.array(texts, dtype=str)[ids]
-
-
-def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None) -> GaussCode:
-    """Return the code of one row, with chirality if signs are given.
+    """Write codes as text, with chirality if signs are given: str (n,).
 
     Raises:
-        InvalidInput: the numbers aren't a Gauss code.
+        InvalidInput: numbers aren't a Gauss code.
     """
-    numbers = tuple(visits[visits != 0].tolist())
-    if signs is None:
-        return GaussCode(numbers)
-    return GaussCode(numbers, letters_of(signs[: len(numbers) // 2].tolist()))
+    both = visits if signs is None else np.concatenate([visits, signs.astype(np.int16)], axis=1)
+    ids, texts = _code_ids(both), list[str]()
+    for row in np.unique(ids, return_index=True)[1]:
+        numbers = tuple(visits[row][visits[row] != 0].tolist())
+        if signs is None:
+            texts.append(str(GaussCode(numbers)))
+        else:
+            own = letters_of(signs[row][: len(numbers) // 2].tolist())
+            texts.append(GaussCode(numbers, own).chiral)
+    return np.array(texts, dtype=str)[ids]
 
 
 def _names(schema: Schema) -> list[str]:

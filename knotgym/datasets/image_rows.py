@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, one_line
 from knotgym.datasets.episode_verification import Count, shared_faults, uncounted
@@ -23,7 +22,6 @@ from knotgym.datasets.image_table import (
     encode,
     header_of,
     marks_base,
-    parquet,
     points_of,
     read_rows,
     read_table,
@@ -60,11 +58,6 @@ class PictureRow(NamedTuple):
     split: str
     source: dict[str, Any]
     camera: tuple[float, float] = (0.0, 0.0)
-
-
-def drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> dict[str, NDArray[np.uint8]]:
-    """Render rows; the result has the bytes of their Parquet file."""
-    return {"parquet": np.frombuffer(parquet(drawn_table(rows, config)), dtype=np.uint8)}
 
 
 def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:

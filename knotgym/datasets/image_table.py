@@ -7,7 +7,6 @@ of Hugging Face's Image feature. pyarrow is imported on demand.
 """
 
 import hashlib
-import importlib
 import json
 import os
 import struct
@@ -53,10 +52,7 @@ COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pict
 
 def arrow(module: str = "pyarrow") -> Any:
     """Import pyarrow, or one of its modules; raise MissingExtra if it isn't installed."""
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise MissingExtra(module, "huggingface", "Parquet") from error
+    return MissingExtra.imported(module, "huggingface", "Parquet")
 
 
 def shown(*names: str) -> dict[str, str]:

@@ -14,9 +14,12 @@ file; `minari_faults` compares both with the columns.
 """
 
 import copy
+import errno
 import json
 import os
 import re
+import shutil
+import stat
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
@@ -36,7 +39,6 @@ from knotgym.common import (
     InvalidInput,
     as_json,
     atomic_write,
-    copy_file,
     new_hdf5,
     one_line,
     read_json,
@@ -165,6 +167,15 @@ def publish(
         if wanted and not any(part.is_recording for part in parts):
             write_minari(open_episodes(data / FILE), data)
     return folder
+
+
+def copy_file(source: Path, target: Path) -> None:
+    """Copy the bytes of a regular file; raise OSError for a link or anything else."""
+    with open(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(source))
+        with open(target, "wb") as copy:
+            shutil.copyfileobj(file, copy)
 
 
 def write_minari(dataset: EpisodeDataset, data: Path) -> None:

@@ -33,16 +33,7 @@ from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import BEADS
 from knotgym.rope import ENGINES, MUJOCO, Array, Rope, RopeConfig, drawn_actions, simulation
-from knotgym.states import (
-    SOURCES,
-    STATE_SPLITS,
-    STATES,
-    RopeAtRest,
-    States,
-    read_states,
-    repeated,
-    source_of,
-)
+from knotgym.states import SOURCES, STATE_SPLITS, STATES, RopeAtRest, States, read_states, repeated
 from knotgym.topology import GaussCode, pyknotid_code
 
 # in your own files quality and source may be missing, but then rows can't be verified
@@ -194,7 +185,7 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         yield f"split is {str(stored['split'])!r}"
     try:
         _actions_of(states, row)
-        source, seed = source_of(str(stored["source/policy"])), stored["source/seed"]
+        source, seed = SOURCES[str(stored["source/policy"])], stored["source/seed"]
         if source.stream is not None:
             seed = _key(seed, source.stream)
         if source.draws_actions and not stored["source/dataset"]:

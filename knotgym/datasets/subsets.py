@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, MissingExtra, Stream, atomic_writes, one_line
+from knotgym.common import InvalidInput, MissingExtra, Stream, atomic_write, one_line
 from knotgym.datasets.selectable import Rows, opened, require_file, write_rows
 
 _RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")
@@ -123,7 +123,7 @@ def split(
     names = [f"{whole.stem}-{name}{whole.suffix}" for name in shares]
     for name in names:
         require_file(whole.with_name(name), [given.digested], overwrite)
-    with atomic_writes(whole.parent, names, overwrite=overwrite) as staged:
+    with atomic_write(whole.parent, *names, overwrite=overwrite) as staged:
         for k, (part, name) in enumerate(zip(shares, names, strict=True)):
             rows, how = np.flatnonzero(dealt == k), {"parts": shares, "seed": seed, "part": part}
             write_rows(given, str(source), rows, how, staged / name)
@@ -182,10 +182,7 @@ def _matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np
         InvalidInput: the text is no condition or names no column; the message is one line.
         MissingExtra: polars isn't installed.
     """
-    try:
-        import polars
-    except ModuleNotFoundError as error:
-        raise MissingExtra("polars", "select", "a condition") from error
+    polars = MissingExtra.imported("polars", "select", "a condition")
     words = [name.rpartition(".")[2] for name in columns]
     short = {w: c for w, c in zip(words, columns.values(), strict=True) if words.count(w) == 1}
     named = {**columns, **{word: c for word, c in short.items() if word not in columns}}

@@ -7,14 +7,11 @@ from .episodes.episode_configs import EvaluateConfig as EvaluateConfig
 from .episodes.evaluate import evaluate as evaluate
 from .episodes.evaluate import film as film
 from .episodes.recordings import Recording as Recording
-from .episodes.recordings import recordings as recordings
-from .episodes.recordings import write_recordings as write_recordings
 from .episodes.results import Result as Result
 from .episodes.suite import make_suite as make_suite
 from .episodes.suite_config import SUITE as SUITE
 from .episodes.suite_config import SuiteConfig as SuiteConfig
 from .images.image_recipe import make_images as make_images
-from .images.image_recipe import picture_block as picture_block
 from .images.images_config import ImagesConfig as ImagesConfig
 from .states.generate_config import GenerateConfig as GenerateConfig
 from .states.imported_curves import import_curves as import_curves

@@ -4,7 +4,6 @@
 torch is imported when a policy is made or its files are read, not when a name is checked.
 """
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +47,7 @@ def _is_clone(name: str) -> bool:
 
 def _card(name: str) -> dict[str, Any]:
     for library in ("torch", "safetensors"):
-        if importlib.util.find_spec(library) is None:
-            raise MissingExtra(library, "learn", f"the learner {name}")
+        MissingExtra.imported(library, "learn", f"the learner {name}")
     from knotgym.learn.checkpoint import policy_folder, read_card
 
     return read_card(policy_folder(name))

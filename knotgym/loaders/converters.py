@@ -3,7 +3,6 @@
 Arrays have one row per transition and the keys of D4RL and OGBench.
 """
 
-import importlib
 import os
 import sys
 from pathlib import Path
@@ -16,15 +15,9 @@ from knotgym.common import InvalidInput, MissingExtra, Stream, atomic_write, req
 from knotgym.loaders.data_stream import DataStream, Pictured, Played
 from knotgym.loaders.transitions import Opening, Transitions
 
-# d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
-# it for everyone who installs all extras
 _AT_ONCE = 4096  # transitions read at once
-_INSTALL = {
-    "datasets": "huggingface",
-    "torch": "torch",
-    "tensordict": "torchrl",
-    "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, which knotgym supports)",
-}
+# d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0, and an extra would pin it for all extras
+_D3RLPY = "pip install d3rlpy (it pins Gymnasium 1.0.0, which knotgym supports)"
 
 
 def arrays(dataset: Any, **opening: Unpack[Opening]) -> dict[str, Any]:
@@ -127,7 +120,7 @@ def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:
     Raises:
         MissingExtra: torch isn't installed.
     """
-    _import_client("torch")
+    MissingExtra.imported("torch", "torch")
     from knotgym.loaders.pytorch import TransitionDataset
 
     return TransitionDataset(Transitions(dataset, **opening))
@@ -153,7 +146,7 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
         InvalidInput: there is a window, the action is neither "pull" nor "decision", or there are
             no transitions.
     """
-    d3rlpy = _import_client("d3rlpy")
+    d3rlpy = MissingExtra.imported("d3rlpy", _D3RLPY)
     if opening.get("window") is not None:
         raise InvalidInput("d3rlpy has windows of its own: leave out window, use its pickers")
     transitions = Transitions(dataset, **opening)
@@ -212,7 +205,7 @@ def to_tensordict(
         MissingExtra: tensordict or torch isn't installed.
         Occupied: the folder exists.
     """
-    tensordict = _import_client("tensordict")
+    tensordict = MissingExtra.imported("tensordict", "torchrl")
     transitions = Transitions(dataset, **opening)
     if folder is None:
         return _tensors(tensordict, transitions, _rows(transitions), slice(None))
@@ -276,22 +269,6 @@ def _tensors(
         },
         batch_size=[len(terminated)],
     )
-
-
-def _import_client(module: str) -> Any:
-    """Import an optional library; raise MissingExtra with its install command if it is missing.
-
-    A checkout of knotgym has a link `datasets` at its top, which would shadow Hugging Face's
-    `datasets` when Python runs from there, so such entries of `sys.path` are skipped.
-    """
-    searched, link = list(sys.path), ("knotgym", module)
-    sys.path[:] = [one for one in searched if (Path(one) / module).resolve().parts[-2:] != link]
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise MissingExtra(str(error.name), _INSTALL[module]) from error
-    finally:
-        sys.path[:] = searched
 
 
 def stream(
@@ -358,7 +335,7 @@ def images(
         MissingFile: nothing exists at path.
     """
     if kind == "torch":
-        _import_client("torch")
+        MissingExtra.imported("torch", "torch")
         from knotgym.loaders.pytorch import PictureDataset
 
         return PictureDataset(path, split, max_nx)
@@ -366,7 +343,7 @@ def images(
         raise InvalidInput(f"kind must be one of torch, huggingface, got {kind!r}")
     from knotgym.datasets import shards
 
-    library = _import_client("datasets")
+    library = MissingExtra.imported("datasets", "huggingface")
     files: dict[str, list[str]] = {}
     for shard in shards(path, split):
         files.setdefault(shard.name.partition("-")[0], []).append(str(shard))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common import InvalidFile, InvalidInput, Table, Threads, atomic_write, require_own
-from knotgym.datasets import EpisodeDataset, gauss_code
+from knotgym.datasets import EpisodeDataset, gauss_codes
 
 if TYPE_CHECKING:
     from knotgym.envs import CanonicalFrames, Observer
@@ -198,7 +198,9 @@ class DrawnFrames:
         return self._column(ids, "observation", "goal_points").astype(np.float64)
 
     def _goal_codes(self, goals: Ids) -> list[GaussCode]:
-        return [gauss_code(visits) for visits in self._codes(goals)]
+        from knotgym.topology import GaussCode
+
+        return [GaussCode.parse(text) for text in gauss_codes(self._codes(goals)).tolist()]
 
     def _marked(self, ropes: Ids, goals: Ids) -> NDArray[np.float32]:
         from knotgym.envs import Marked

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, one_line
-from knotgym.control import Player, Pulls, rollouts
-from knotgym.datasets import EpisodeDataset, MinariMetadata, open_episodes, publish
-from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.control import replay
+from knotgym.datasets import EpisodeDataset, Episodes, MinariMetadata, open_episodes, publish
+from knotgym.envs import TaskConfig
 from knotgym.play.session import HandPull
 from knotgym.runs import RunOptions, identity, staged
 from knotgym.states import is_bundled, minari_root, resolve_states
@@ -126,12 +126,7 @@ class Recorder:
             if not pulls:
                 del self._journal[f"{_KEY}{number}"]
                 return
-            columns: dict[str, NDArray[Any]] = {
-                "bead": np.array([pull.bead for pull in pulls], dtype=np.int64),
-                "force": np.array([pull.force for pull in pulls], np.float32).reshape(-1, 3),
-                "helped": np.array([pull.helped for pull in pulls], dtype=bool),
-            }
-            self._journal[f"{_KEY}{number}"] = columns
+            self._journal[f"{_KEY}{number}"] = _columns(pulls)
 
     def finish(self, number: int, pulls: Sequence[HandPull]) -> bool:
         """Add an episode to the dataset; return whether it was stored.
@@ -149,7 +144,10 @@ class Recorder:
         return stored
 
     def _store(self, number: int, pulls: Sequence[HandPull]) -> None:
-        played = rollouts(_Played(self._policy, pulls), self._task, [self._seed_of(number)])
+        own = _columns(pulls)
+        del own["helped"]
+        whole = Episodes.to_repeat(np.array([len(pulls)]), own, self._policy)
+        played = replay(whole, self._task, [self._seed_of(number)])
         there = [open_episodes(self.folder).episodes] if self.folder.exists() else []
         publish(
             [*there, played],
@@ -179,24 +177,9 @@ class Recorder:
         return set(found.episodes.episodes["seed"].tolist())
 
 
-class _Played:
-    """Repeats the pulls of one episode, then leaves the rope alone."""
-
-    def __init__(self, name: str, pulls: Sequence[HandPull]) -> None:
-        self.name, self._pulls = name, pulls
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        return task
-
-    def player(self, batch: EpisodeBatch) -> Player:
-        self._batch, self.planned = batch, np.zeros(batch.count, dtype=np.int64)
-        return self
-
-    def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        return
-
-    def act(self, ids: NDArray[np.int64]) -> Pulls:
-        none = HandPull(0, np.zeros(3, dtype=np.float32))
-        step = int(self._batch.steps[0])
-        bead, force, _ = self._pulls[step] if step < len(self._pulls) else none
-        return Pulls(ids, np.array([bead]), force[None])
+def _columns(pulls: Sequence[HandPull]) -> dict[str, NDArray[Any]]:
+    return {
+        "bead": np.array([pull.bead for pull in pulls], dtype=np.int64),
+        "force": np.array([pull.force for pull in pulls], np.float32).reshape(-1, 3),
+        "helped": np.array([pull.helped for pull in pulls], dtype=bool),
+    }

@@ -159,11 +159,7 @@ class Chat:
         shown = f"{config.base_url} {config.model} {json.dumps(config.extra)}"
         if self._secret and self._secret in shown:
             raise InvalidInput(f"set the key only in {KEY}, not in --base-url, --model or extra")
-        try:
-            import openai
-        except ImportError as error:
-            raise MissingExtra("openai", "prompt", "knotgym prompt") from error
-        self._openai: Any = openai
+        self._openai = openai = MissingExtra.imported("openai", "prompt", "knotgym prompt")
         # the client's HTTP library, which is another one in newer versions of openai
         library = openai.DefaultAsyncHttpxClient.__mro__[1].__module__.partition(".")[0]
         self._http: Any = importlib.import_module(library)

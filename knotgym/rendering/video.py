@@ -182,8 +182,4 @@ def _pyav() -> Any:
     Raises:
         MissingExtra: it isn't installed.
     """
-    try:
-        import av
-    except ModuleNotFoundError as error:
-        raise MissingExtra("PyAV", "video", "a video that is no .gif") from error
-    return av
+    return MissingExtra.imported("av", "video", "a video that is no .gif")

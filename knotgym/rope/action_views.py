@@ -23,12 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput
 from knotgym.rope.actions import (
     LONGEST,
     NEAR,
-    ROUNDING,
     action_space,
+    checked,
     chosen_forces,
     nearest_beads,
     quantized,
@@ -71,22 +70,9 @@ class ActionView:
         Raises:
             InvalidInput: they have another shape, or a number is out of range.
         """
-        a = np.asarray(actions, dtype=np.float64)
-        wanted = f"an action of the view {self.name!r} is {self.size}"
-        wanted += " numbers in [-1, 1]" if self.counts is None else " whole numbers"
-        if a.shape != (len(ids), self.size):
-            raise InvalidInput(f"{wanted}; got shape {a.shape} for {len(ids)} ropes")
-        if self.counts is None:
-            fits = np.abs(a) <= 1 + ROUNDING
-        else:
-            # equal to their rounded values, so that an integer in a float array is taken, and NaN
-            # is not
-            fits = (a == np.rint(a)) & (a >= 0) & (a < self.counts)
-            wanted += f" below {self.counts.tolist()}"
-        bad = ~fits.all(axis=1)
-        if bad.any():
-            raise InvalidInput(f"{wanted}, got {a[bad][0].tolist()}")
-        return np.clip(a, -1, 1) if self.counts is None else a
+        what = f"an action of the view {self.name!r} is {self.size}"
+        what += " numbers in [-1, 1]" if self.counts is None else " whole numbers"
+        return checked(actions, (len(ids), self.size), what, self.counts)
 
     def reset(self, ids: NDArray[np.int64]) -> None:
         """Drop the actions of ropes whose episodes begin."""

@@ -29,11 +29,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Stream
+from knotgym.common import InvalidInput, Stream
 
 Array = NDArray[np.float64]
 
-ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
+_ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
 FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 of the largest
 # Odd, so that one of the forces is exactly 0. Of 64 of the expert's plans (tie nx 2, convert nx 3)
 # that are binned and replayed blindly, 43 still end in the same code with 11 choices, 29 with 5, 48
@@ -58,6 +58,35 @@ def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
     # NumPy's sums over an axis of three take four times as long.
     squares = [(points[..., axis] - positions[:, axis, None]) ** 2 for axis in range(3)]
     return np.argmin(squares[0] + squares[1] + squares[2], axis=1)
+
+
+def checked(actions: ArrayLike, shape: tuple[int, int], what: str, counts: Any = None) -> Array:
+    """Return actions as float64, those in [-1, 1] clipped to it.
+
+    Args:
+        actions: any numbers.
+        shape: that they must have, ropes and numbers of an action.
+        what: an action is, in words, for the error.
+        counts: how many values each whole number has; None for numbers in [-1, 1].
+
+    Raises:
+        InvalidInput: they have another shape, or a number is NaN or out of range.
+    """
+    a = np.asarray(actions, dtype=np.float64)
+    if a.shape != shape:
+        raise InvalidInput(f"{what}; got shape {a.shape} for {shape[0]} ropes")
+    if counts is None:
+        # Actions of float32 may be beyond 1 by their rounding. Clipping keeps the largest force the
+        # largest, so a replay of stored actions applies what was applied.
+        fits, kept = np.abs(a) <= 1 + _ROUNDING, np.clip(a, -1, 1)
+    else:
+        # equal to their rounded values, so that an integer in a float array is taken, and NaN isn't
+        fits, kept = (a == np.rint(a)) & (a >= 0) & (a < counts), a
+        what += f" below {counts.tolist()}"
+    bad = ~fits.all(axis=1)
+    if bad.any():
+        raise InvalidInput(f"{what}, got {a[bad][0].tolist()}")
+    return kept
 
 
 def quantized(forces: ArrayLike) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Threads
-from knotgym.rope.actions import ROUNDING, nearest_beads
+from knotgym.rope.actions import checked, nearest_beads
 from knotgym.rope.model import Array, Rope, RopeConfig
 
 Ids = Sequence[int] | NDArray[np.int64] | None
@@ -120,8 +120,7 @@ class Simulation(ABC):
             As `step`.
 
         Raises:
-            InvalidInput: a number is NaN or outside [-1, 1] by more than ROUNDING; no rope has
-                moved.
+            InvalidInput: a number is NaN or outside [-1, 1]; no rope has moved.
         """
         beads, forces = self.read_actions(actions, ids)
         return self.step(beads, forces, ids)
@@ -133,18 +132,8 @@ class Simulation(ABC):
             beads int64 (len(ids),); forces float64 (len(ids), 3), newtons.
         """
         where = self._all(ids)
-        a = np.asarray(actions, dtype=np.float64)
-        if a.shape != (len(where), 6):
-            raise InvalidInput(
-                f"an action is 6 numbers (x, y, z, fx, fy, fz); got shape {a.shape} for"
-                f" {len(where)} ropes"
-            )
-        bad = ~(np.abs(a) <= 1.0 + ROUNDING).all(axis=1)
-        if bad.any():
-            raise InvalidInput(f"an action's numbers must be in [-1, 1], got {a[bad][0].tolist()}")
-        # Actions of float32 may be beyond 1 by their rounding. Clipping keeps the largest force the
-        # largest, so a replay of stored actions applies what was applied.
-        clipped, config = np.clip(a, -1.0, 1.0), self.rope.config
+        what = "an action is 6 numbers in [-1, 1] (x, y, z, fx, fy, fz)"
+        clipped, config = checked(actions, (len(where), 6), what), self.rope.config
         beads = np.empty(len(where), dtype=np.int64)
 
         def _read(rows: slice) -> None:

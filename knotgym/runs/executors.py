@@ -197,10 +197,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         Failed: the cluster is gone, or several workers died on the same call.
     """
     try:
-        from distributed import Client, KilledWorker
-        from distributed.comm import CommClosedError
-    except ModuleNotFoundError as error:
-        raise MissingExtra("Dask distributed", "dask", "run.scheduler") from error
+        distributed = MissingExtra.imported("distributed", "dask", "run.scheduler")
     except AttributeError as error:
         # distributed takes any module `snappy` for the compressor of that name
         raise InvalidInput(
@@ -208,7 +205,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
             " the same name as a compressor that Dask looks for: use an environment without SnapPy"
         ) from error
     try:
-        client = Client(scheduler, timeout=TIMEOUT, set_as_default=False)
+        client = distributed.Client(scheduler, timeout=TIMEOUT, set_as_default=False)
         client.wait_for_workers(1, timeout=TIMEOUT)
     except (OSError, ValueError) as error:
         raise InvalidInput(
@@ -217,11 +214,11 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         ) from error
     try:
         yield _Cluster(client.get_executor(pure=False), len(client.nthreads()))
-    except KilledWorker as error:
+    except distributed.KilledWorker as error:
         raise Failed(
             "several workers of the cluster died on the same work; --resume continues from there"
         ) from error
-    except (CommClosedError, CancelledError) as error:
+    except (distributed.comm.CommClosedError, CancelledError) as error:
         raise Failed(
             "the scheduler is gone; --resume continues from there, with any executor"
         ) from error

@@ -5,7 +5,6 @@ from .near_duplicates import families as families
 from .near_duplicates import nearest as nearest
 from .near_duplicates import pairs_within as pairs_within
 from .near_duplicates import repeated as repeated
-from .resolving import SETS as SETS
 from .resolving import is_bundled as is_bundled
 from .resolving import minari_root as minari_root
 from .resolving import resolve as resolve
@@ -18,7 +17,6 @@ from .sources import IMAGE_SPLITS as IMAGE_SPLITS
 from .sources import SOURCES as SOURCES
 from .sources import STATE_SPLITS as STATE_SPLITS
 from .sources import held_form as held_form
-from .sources import source_of as source_of
 from .state_file import States as States
 from .state_file import merge_states as merge_states
 from .state_file import read_states as read_states

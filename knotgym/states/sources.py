@@ -59,46 +59,51 @@ _ROPES = "All frames of a rope are in one split."
 _PLAYED = "knotgym.generate.states.play_source:"
 _DRAWN = "knotgym.generate.states.drawing_source:"
 
-SOURCES = {  # value of `source/policy` -> record
-    "drawing": Source(
-        "drawn from its code. The drawing is made again from the row's seed, laid in the simulator,"
-        " stirred and left to rest by the row's actions.",
-        Stream.DRAWING,
-        f"{_DRAWN}drawn_rows",
-        f"{_DRAWN}splits_of",
-    ),
-    "play": Source(
-        "a frame of a rope that random and scripted policies pulled, if it is readable, not"
-        f" over-twisted and new. The row's actions lead from its start to its state. {_ROPES}",
-        Stream.PLAYED_ROPE,
-        f"{_PLAYED}rows_of_ropes",
-        f"{_PLAYED}splits_of",
-        engine=CHAIN,
-        from_ropes=True,
-    ),
-    "random-walk": Source(
-        "a state as uniform random actions reach it, not selected to be easier to read; only"
-        " over-twisted ones are left out. The actions of a row are drawn from its random stream."
-        f" {_ROPES}",
-        Stream.RANDOM_WALK,
-        f"{_PLAYED}rows_of_ropes",
-        f"{_PLAYED}splits_of",
-        from_ropes=True,
-        draws_actions=True,
-    ),
-    "import": Source("a curve of a file, laid and left to rest.", Stream.IMPORT),
-    # of sets that the package includes
-    "demonstrations": Source("met in play; the row's actions lead from a plain loop to its state."),
-    "bench-play": Source("met in play, laid from its vertices."),
-    "bench-drawing": Source("drawn from its code, laid from its vertices."),
-}
+
+class _Sources(dict[str, Source]):
+    """Value of `source/policy` -> record; InvalidInput for any other."""
+
+    def __missing__(self, name: str) -> Source:
+        raise InvalidInput(f"source must be one of {', '.join(self)}, got {name!r}")
 
 
-def source_of(name: str) -> Source:
-    """Return the record of a source; raise InvalidInput if there is none."""
-    if name not in SOURCES:
-        raise InvalidInput(f"source must be one of {', '.join(SOURCES)}, got {name!r}")
-    return SOURCES[name]
+SOURCES = _Sources(
+    {
+        "drawing": Source(
+            "drawn from its code. The drawing is made again from the row's seed, laid in the"
+            " simulator, stirred and left to rest by the row's actions.",
+            Stream.DRAWING,
+            f"{_DRAWN}drawn_rows",
+            f"{_DRAWN}splits_of",
+        ),
+        "play": Source(
+            "a frame of a rope that random and scripted policies pulled, if it is readable, not"
+            f" over-twisted and new. The row's actions lead from its start to its state. {_ROPES}",
+            Stream.PLAYED_ROPE,
+            f"{_PLAYED}rows_of_ropes",
+            f"{_PLAYED}splits_of",
+            engine=CHAIN,
+            from_ropes=True,
+        ),
+        "random-walk": Source(
+            "a state as uniform random actions reach it, not selected to be easier to read; only"
+            " over-twisted ones are left out. The actions of a row are drawn from its random"
+            f" stream. {_ROPES}",
+            Stream.RANDOM_WALK,
+            f"{_PLAYED}rows_of_ropes",
+            f"{_PLAYED}splits_of",
+            from_ropes=True,
+            draws_actions=True,
+        ),
+        "import": Source("a curve of a file, laid and left to rest.", Stream.IMPORT),
+        # of sets that the package includes
+        "demonstrations": Source(
+            "met in play; the row's actions lead from a plain loop to its state."
+        ),
+        "bench-play": Source("met in play, laid from its vertices."),
+        "bench-drawing": Source("drawn from its code, laid from its vertices."),
+    }
+)
 
 
 def held_form(code: str, *, marked: bool) -> str:

@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 
 import knotgym as package
-from knotgym.common import InvalidFile, sha256
+from knotgym.cli.generate_command import _code_list
+from knotgym.common import InvalidFile, InvalidInput, sha256
 from knotgym.loaders import arrays
 from knotgym.rendering import draw_diagram
 from knotgym.rope import Rope
@@ -194,3 +195,29 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     (line,) = said(capfd)
     assert line.startswith("knotgym: missing states: 1 with nx = 0; give --resume")
     assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
+
+
+def test_a_list_of_codes_may_be_sampled_and_filtered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "codes.txt"
+    path.write_text(
+        "\ufeff# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n", "utf-8"
+    )
+
+    def read(
+        nx: tuple[int, ...] | None = None, count: int | None = None, seed: int = 0
+    ) -> list[str]:
+        rng = np.random.default_rng(seed)
+        return [str(code) for code in _code_list(path, nx, count, rng)]
+
+    everything = read()
+    assert len(everything) == 5 and everything[0] == "1+,1-"
+    assert read((2, 3)) == everything[2:3] + everything[4:]
+    samples = {tuple(read(count=2, seed=seed)) for seed in range(40)}
+    assert all(len(one) == 2 for one in samples) and len(samples) > 5
+    assert read(count=2, seed=3) == read(count=2, seed=3)
+    assert read(count=9) == everything  # in the order of the file
+    monkeypatch.setattr("knotgym.cli.generate_command.MOST_CODES", 4)
+    with pytest.raises(InvalidInput, match="more than 4 codes"):
+        read()

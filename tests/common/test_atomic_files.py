@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.common.atomic_files import atomic_write, copy_file, remove, require_output, sha256
+from knotgym.common.atomic_files import atomic_write, remove, require_output, sha256
 from knotgym.common.errors import Occupied
 
 
@@ -177,10 +177,3 @@ def test_a_link_is_replaced_and_not_its_target(tmp_path: Path) -> None:
     with atomic_write(tmp_path / "a") as part:
         part.write_text("new")
     assert (tmp_path / "target").read_text() == "kept" and not (tmp_path / "a").is_symlink()
-
-
-def test_a_link_is_not_copied(tmp_path: Path) -> None:
-    (tmp_path / "secret").write_text("private")
-    (tmp_path / "a").symlink_to(tmp_path / "secret")
-    with pytest.raises(OSError):
-        copy_file(tmp_path / "a", tmp_path / "copy")

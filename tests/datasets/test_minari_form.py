@@ -19,6 +19,7 @@ from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.minari_form import (
     MinariMetadata,
+    copy_file,
     loading_lines,
     metadata_of,
     minari_faults,
@@ -159,3 +160,10 @@ def test_what_does_not_follow_from_the_episodes_is_a_fault(
     copy = shutil.copytree(root / ID, tmp_path / "copy")
     harm(copy / "data")
     assert any(named in fault for fault in minari_faults(open_episodes(copy)))
+
+
+def test_a_link_is_not_copied(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("private")
+    (tmp_path / "a").symlink_to(tmp_path / "secret")
+    with pytest.raises(OSError):
+        copy_file(tmp_path / "a", tmp_path / "copy")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from knotgym.control import verify
-from knotgym.datasets import PictureRow, drawn, read_rows
+from knotgym.datasets import PictureRow, drawn_table, parquet, read_rows
 from knotgym.generate import ImagesConfig, make_images
 from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
@@ -128,7 +128,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     rows = [
         PictureRow(points, "test", source) for points, source in zip(ropes, sources, strict=True)
     ]
-    (tmp_path / "table.parquet").write_bytes(drawn(rows, AppearanceConfig())["parquet"].tobytes())
+    (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, AppearanceConfig())))
     page = tmp_path / "misread.png"
     run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
     told = capsys.readouterr().out.splitlines()
@@ -151,7 +151,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
         PictureRow(points, "test", source | {"rope": row, "row": row})
         for row, points in enumerate(states.points[chosen])
     ]
-    (tmp_path / "table.parquet").write_bytes(drawn(rows, look)["parquet"].tobytes())
+    (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, look)))
     assert verify(tmp_path / "table.parquet") == []
     answers = tmp_path / "answers.jsonl"
     script = FOLDER / "perception" / "transcribe.py"

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.cli import code_list
 from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy
 from knotgym.envs import KnotEnv, TaskConfig
@@ -72,29 +71,3 @@ def test_a_learner_of_the_usual_rope_refuses_another() -> None:
     policy = make_policy(PolicyConfig(policy="pretrained-clone"))
     with pytest.raises(InvalidPolicy, match="needs a rope of 100 beads, got 60"):
         policy.compatible_task(TaskConfig(task="tie", action="macro", beads=BEADS))
-
-
-def test_a_list_of_codes_may_be_sampled_and_filtered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "codes.txt"
-    path.write_text(
-        "\ufeff# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n", "utf-8"
-    )
-
-    def read(
-        nx: tuple[int, ...] | None = None, count: int | None = None, seed: int = 0
-    ) -> list[str]:
-        rng = np.random.default_rng(seed)
-        return [str(code) for code in code_list(path, nx, count, rng)]
-
-    everything = read()
-    assert len(everything) == 5 and everything[0] == "1+,1-"
-    assert read((2, 3)) == everything[2:3] + everything[4:]
-    samples = {tuple(read(count=2, seed=seed)) for seed in range(40)}
-    assert all(len(one) == 2 for one in samples) and len(samples) > 5
-    assert read(count=2, seed=3) == read(count=2, seed=3)
-    assert read(count=9) == everything  # in the order of the file
-    monkeypatch.setattr("knotgym.cli.generate_command.MOST_CODES", 4)
-    with pytest.raises(InvalidInput, match="more than 4 codes"):
-        read()

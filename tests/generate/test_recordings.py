@@ -12,14 +12,7 @@ from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.episode_configs import CollectConfig
-from knotgym.generate.episodes.recordings import (
-    Recording,
-    digests,
-    first_difference,
-    rebuilt,
-    recordings,
-    write_recordings,
-)
+from knotgym.generate.episodes.recordings import Recording, digests, first_difference, rebuilt
 
 CONFIG = CollectConfig(
     task=TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=15),
@@ -39,14 +32,15 @@ def played() -> Episodes:
 def path(tmp_path_factory: pytest.TempPathFactory, played: Episodes) -> Path:
     path = tmp_path_factory.mktemp("recordings") / "recordings.h5"
     other = replace(CONFIG, dataset_id="knotgym/a-v0")
-    write_recordings(path, [Recording.of(CONFIG, played), Recording.of(other, played.select([1]))])
+    both = [Recording.of(CONFIG, played), Recording.of(other, played.select([1]))]
+    Recording.write_all(path, both)
     return path
 
 
 def test_a_replay_gives_the_same_arrays(played: Episodes, path: Path) -> None:
     again = Episodes.of(rebuilt(CONFIG, range(3), path))
     assert played.differences(again) == []
-    assert first_difference(again, recordings(path)[CONFIG.dataset_id]) is None
+    assert first_difference(again, Recording.read_all(path)[CONFIG.dataset_id]) is None
     part = Episodes.of(rebuilt(CONFIG, range(1, 3), path))
     assert played.select([1, 2]).differences(part) == []
 
@@ -54,7 +48,7 @@ def test_a_replay_gives_the_same_arrays(played: Episodes, path: Path) -> None:
 def test_the_same_recordings_give_the_same_bytes(
     played: Episodes, path: Path, tmp_path: Path
 ) -> None:
-    write_recordings(tmp_path / "again.h5", [*recordings(path).values()][::-1])
+    Recording.write_all(tmp_path / "again.h5", [*Recording.read_all(path).values()][::-1])
     assert (tmp_path / "again.h5").read_bytes() == path.read_bytes()
 
 
@@ -83,14 +77,14 @@ def test_damaged_recordings_are_refused(path: Path, tmp_path: Path) -> None:
     with h5py.File(copy, "r+") as file:
         file["episodes/length"][0] += 1
     with pytest.raises(InvalidFile, match="don't fit its pulls"):
-        recordings(copy)
+        Recording.read_all(copy)
 
 
 def test_the_ones_that_ship_are_of_the_suite() -> None:
     from knotgym.generate.episodes.suite_config import SuiteConfig
 
     sets = {one.dataset_id: one for one in SuiteConfig().sets()}
-    for name, one in recordings().items():
+    for name, one in Recording.read_all().items():
         # by the policy as it was when they were recorded
         own = replace(sets[name], episodes=one.config.episodes, policy=one.config.policy)
         assert one.config == own and one.episodes.episodes.rows == own.episodes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from base64 import b64encode
 from collections.abc import Callable
@@ -10,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
-from knotgym.cli import print_transcripts
 from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import decode, encode
 from knotgym.envs import TaskConfig
@@ -20,7 +17,7 @@ from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
 from knotgym.prompting.prompts import first
-from knotgym.prompting.transcripts import read_transcripts, reading_scores
+from knotgym.prompting.transcripts import read_transcripts, reading_scores, show_transcripts
 from knotgym.runs import RunOptions
 
 from ..small_job import staging_of
@@ -161,9 +158,8 @@ def test_a_rejected_request_counts_as_a_refusal_and_the_run_goes_on(tmp_path: Pa
     assert result["answers"] == {"valid": 6, "refusal": 2}
     assert result["rejected"] == {"400 content_filter": 2}
     assert len(told[0]["actions"]) == 4 and told[0]["turns"][0]["rejected"].endswith(": no")
-    text = io.StringIO()
-    print_transcripts(tmp_path / "run", Console(file=text))
-    assert "rejected             400 content_filter 2" in text.getvalue()
+    facts, _ = show_transcripts(tmp_path / "run") or ({}, [])
+    assert facts["rejected"] == {"400 content_filter": 2}
 
 
 def test_a_server_that_rejects_every_request_ends_the_run_until_restarted(tmp_path: Path) -> None:
@@ -228,9 +224,8 @@ def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
         {"pictures": 3, "exact": 1 / 3, "crossings": 1 / 3, "edits": 2}
     )
     assert scores["accepted"] == {"pictures": 1, "exact": 1, "crossings": 1, "edits": 0}
-    text = io.StringIO()
-    print_transcripts(tmp_path / "run", Console(file=text))
-    assert "mode                 read" in text.getvalue() and "accepted" in text.getvalue()
+    facts, table = show_transcripts(tmp_path / "run") or ({}, [])
+    assert facts["mode"] == "read" and ("accepted", "1", "100.0 %", "100.0 %", "0.00") in table
 
 
 def test_the_first_request_is_shown_without_sending_it() -> None:

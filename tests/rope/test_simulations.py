@@ -104,9 +104,9 @@ def test_a_rope_laid_forgets_what_it_did_and_leaves_the_others(engine: str) -> N
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        (np.full((2, 6), np.nan), r"must be in \[-1, 1\]"),
+        (np.full((2, 6), np.nan), r"numbers in \[-1, 1\]"),
         (np.array([[0.0] * 6, [0, 0, 0, 0, 0, 1.001]]), r"got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]"),
-        (np.full((2, 6), -np.inf), r"must be in \[-1, 1\]"),
+        (np.full((2, 6), -np.inf), r"numbers in \[-1, 1\]"),
         (np.zeros((2, 5)), r"shape \(2, 5\) for 2 ropes"),
         (np.zeros((3, 6)), r"shape \(3, 6\) for 2 ropes"),
         (np.zeros(6), r"shape \(6,\) for 2 ropes"),

@@ -27,7 +27,7 @@ from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES, Quality
 from knotgym.rendering import APPEARANCES
-from knotgym.states import IMAGE_SPLITS, STATE_SPLITS, States, read_states, source_of
+from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, read_states
 from knotgym.topology import GaussCode
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
@@ -139,7 +139,7 @@ def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, 
         seed=config["seed"],
         source=plain(report["source"]),
         sources="\n".join(
-            f"- `{name}`: {source_of(name).doc}"
+            f"- `{name}`: {SOURCES[name].doc}"
             for name in np.unique(states.source["policy"]).tolist()
         ),
         passed=sum(map(len, report.get("passed_over", {}).values())),

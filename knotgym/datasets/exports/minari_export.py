@@ -11,13 +11,19 @@ uploaded to hf://USER. All ids must begin with the same word, which Minari takes
 import json
 from pathlib import Path
 
-from knotgym.common import InvalidInput, copy_file
+from knotgym.common import InvalidInput
 from knotgym.datasets.cards import citation_file, filled_template, plain, table, write_text
 from knotgym.datasets.episode_dataset import FILE, columns_of
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.gallery import episode_tiles, write_gallery
 from knotgym.datasets.located import Located
-from knotgym.datasets.minari_form import METADATA, dataset_files, metadata_of, write_minari
+from knotgym.datasets.minari_form import (
+    METADATA,
+    copy_file,
+    dataset_files,
+    metadata_of,
+    write_minari,
+)
 
 _HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
 

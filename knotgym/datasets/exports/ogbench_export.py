@@ -15,12 +15,13 @@ pictures. Without the policy it is the id of the environment, see `adapters.OGBe
 """
 
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidInput, atomic_writes, copy_file, require_output
+from knotgym.common import InvalidInput, atomic_write, require_output
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.located import Located
@@ -57,12 +58,12 @@ def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
     for wanted in files:
         require_output(out / wanted, folder=False, overwrite=overwrite, reads=[source.root])
     validates = np.arange(count) % _TENTH == min(_TENTH, count) - 1
-    with atomic_writes(out, files, overwrite=overwrite) as staged:
+    with atomic_write(out, *files, overwrite=overwrite) as staged:
         for look, name in names.items():
             for end, chosen in (("-val", validates), ("-train", ~validates)):
                 arrays = _arrays(dataset.select(chosen), look)
                 np.savez_compressed(staged / f"{name}{end}.npz", allow_pickle=False, **arrays)
-            copy_file(staged / f"{name}-train.npz", staged / f"{name}.npz")
+            shutil.copyfile(staged / f"{name}-train.npz", staged / f"{name}.npz")
     return f"{count} episodes for ogbench"
 
 

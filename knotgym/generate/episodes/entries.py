@@ -46,13 +46,7 @@ from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.recordings import (
-    DIGEST,
-    digests,
-    episodes_with,
-    force_bins,
-    pulls_of,
-)
+from knotgym.generate.episodes.recordings import DIGEST, digests, force_bins
 from knotgym.generate.episodes.results import Result, show
 from knotgym.rope import FORCE_BINS, MUJOCO, RopeConfig, quantized
 from knotgym.runs import Progress, executor
@@ -140,10 +134,8 @@ def write_entry(
     path: Path, config: EvaluateConfig, played: Sequence[Episodes], claimed: list[dict[str, Any]]
 ) -> None:
     """Write the episodes of all setups, played with all columns of steps, to a file."""
-    rows, made = (
-        list[Table](),
-        Table.joined([pulls_of(one).only(_BEAD.name, _FORCE.name) for one in played]),
-    )
+    rows = list[Table]()
+    made = Table.joined([one.pulls().only(_BEAD.name, _FORCE.name) for one in played])
     for one in played:
         lengths: NDArray[Any] = one.episodes["length"].astype(np.uint32)
         own: dict[str, NDArray[Any]] = {"length": lengths, "digest": digests(one)}
@@ -208,7 +200,7 @@ def read_entry(path: Path) -> Entry | None:
 def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> Kept:
     """Play episodes again; return their columns, and which aren't as recorded, bool (n,)."""
     lengths = rows["length"].astype(np.int64)
-    made = replay(episodes_with(lengths, pulls, "recorded"), task, seeds)
+    made = replay(Episodes.to_repeat(lengths, pulls, "recorded"), task, seeds)
     wrong = (made.episodes["length"] != lengths) | (digests(made) != rows["digest"]).any(axis=1)
     return {**made._replace(steps=made.steps.only("bead")).columns(), "wrong": wrong}
 

@@ -34,7 +34,7 @@ from knotgym.common import (
     write_tables,
 )
 from knotgym.control import replay
-from knotgym.datasets import MACROS, PULLS, RECORDED, Episodes
+from knotgym.datasets import MACROS, Episodes
 from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.rope import FORCE_BINS, quantized
 from knotgym.runs import Result
@@ -93,6 +93,52 @@ class Recording(NamedTuple):
             )
         return cls(config, episodes, digests(episodes))
 
+    @staticmethod
+    @lru_cache(maxsize=2)
+    def read_all(path: Path = RECORDINGS) -> Mapping[str, "Recording"]:
+        """Read a file of recordings: id of the dataset -> its recording.
+
+        Raises:
+            MissingFile: the file doesn't exist.
+            InvalidFile: it is corrupted or in another format.
+        """
+        (rows, steps), attributes = read_tables(path, EPISODES, STEPS, format=FORMAT)
+        lengths = rows["length"].astype(np.int64)
+        sets = attributes.get("sets")
+        if not isinstance(sets, dict) or lengths.sum() != steps.rows:
+            raise InvalidFile(f"{path}: its episodes don't fit its pulls")
+        ends = np.concatenate([[0], np.cumsum(lengths)])
+        found, first = dict[str, Recording](), 0
+        try:
+            for name, one in sets.items():
+                config, last = from_json(CollectConfig, one["config"]), first + one["episodes"]
+                pulls = steps.take(slice(ends[first], ends[last]))
+                exact = {**pulls, "force": quantized(pulls["force"] / FORCE_BINS)}
+                episodes = Episodes.to_repeat(lengths[first:last], exact, config.policy.policy)
+                found[name] = Recording(config, episodes, rows["digest"][first:last])
+                first = last
+        except (KeyError, TypeError, IndexError) as error:
+            raise InvalidFile(f"{path}: its list of sets is damaged: {error!r}") from error
+        if first != rows.rows:
+            raise InvalidFile(f"{path} has {rows.rows} episodes, and its sets have {first}")
+        return found
+
+    @staticmethod
+    def write_all(path: Path, all_sets: Sequence["Recording"]) -> None:
+        """Write recordings to a file; the same recordings give the same bytes."""
+        rows, steps, sets = list[Table](), list[Table](), dict[str, Any]()
+        for one in sorted(all_sets, key=lambda one: one.config.dataset_id):
+            length, made = one.episodes.episodes["length"], one.episodes.pulls()
+            bins = force_bins(made["force"])
+            assert bins is not None  # `Recording.of` refuses others
+            columns = {**made, "force": bins}
+            own = {c.name: columns[c.name].astype(c.dtype) for c in STEPS.columns}
+            steps.append(Table(STEPS, own))
+            own = {"length": length.astype(np.uint16), "digest": one.digests}
+            rows.append(Table(EPISODES, own))
+            sets[one.config.dataset_id] = {"config": as_json(one.config), "episodes": len(length)}
+        write_tables(path, [rows, steps], {"sets": sets}, format=FORMAT, pack=True)
+
 
 def digests(episodes: Episodes) -> NDArray[np.uint8]:
     """Compute the first bytes of the SHA-256 of each episode: uint8 (n, 8).
@@ -146,7 +192,7 @@ def rebuilt(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> R
     Raises:
         InvalidFile: there is no such recording, or it has fewer episodes.
     """
-    recording = recordings(path)[config.dataset_id]
+    recording = Recording.read_all(path)[config.dataset_id]
     if numbers.stop > recording.episodes.episodes.rows:
         raise InvalidFile(
             f"{config.dataset_id} is recorded with {recording.episodes.episodes.rows} episodes, got"
@@ -157,76 +203,7 @@ def rebuilt(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> R
     return replay(own, config.policy_task, seeds).columns()
 
 
-@lru_cache(maxsize=2)
-def recordings(path: Path = RECORDINGS) -> Mapping[str, Recording]:
-    """Read a file of recordings: id of the dataset -> its recording.
-
-    Raises:
-        MissingFile: the file doesn't exist.
-        InvalidFile: it is corrupted or in another format.
-    """
-    (rows, steps), attributes = read_tables(path, EPISODES, STEPS, format=FORMAT)
-    lengths = rows["length"].astype(np.int64)
-    sets = attributes.get("sets")
-    if not isinstance(sets, dict) or lengths.sum() != steps.rows:
-        raise InvalidFile(f"{path}: its episodes don't fit its pulls")
-    ends = np.concatenate([[0], np.cumsum(lengths)])
-    found, first = dict[str, Recording](), 0
-    try:
-        for name, one in sets.items():
-            config, last = from_json(CollectConfig, one["config"]), first + one["episodes"]
-            pulls = steps.take(slice(ends[first], ends[last])).only(
-                *(c.name for c in PULLS.columns)
-            )
-            exact = {**pulls, "force": quantized(pulls["force"] / FORCE_BINS)}
-            episodes = episodes_with(lengths[first:last], exact, config.policy.policy)
-            found[name] = Recording(config, episodes, rows["digest"][first:last])
-            first = last
-    except (KeyError, TypeError, IndexError) as error:
-        raise InvalidFile(f"{path}: its list of sets is damaged: {error!r}") from error
-    if first != rows.rows:
-        raise InvalidFile(f"{path} has {rows.rows} episodes, and its sets have {first}")
-    return found
-
-
-def write_recordings(path: Path, all_sets: Sequence[Recording]) -> None:
-    """Write recordings to a file; the same recordings give the same bytes."""
-    rows, steps, sets = list[Table](), list[Table](), dict[str, Any]()
-    for one in sorted(all_sets, key=lambda one: one.config.dataset_id):
-        length, made = one.episodes.episodes["length"], pulls_of(one.episodes)
-        columns = {c.name: made[c.name].astype(c.dtype) for c in STEPS.columns if c.name != "force"}
-        bins = force_bins(made["force"])
-        assert bins is not None  # `Recording.of` refuses others
-        columns["force"] = bins
-        steps.append(Table(STEPS, columns))
-        rows.append(Table(EPISODES, {"length": length.astype(np.uint16), "digest": one.digests}))
-        sets[one.config.dataset_id] = {"config": as_json(one.config), "episodes": len(length)}
-    write_tables(path, [rows, steps], {"sets": sets}, format=FORMAT, pack=True)
-
-
 def force_bins(forces: NDArray[Any]) -> NDArray[np.int8] | None:
     """Return quantized forces in units of the largest one / FORCE_BINS; None if they aren't."""
     bins = np.rint(forces * FORCE_BINS)
     return bins.astype(np.int8) if (quantized(bins / FORCE_BINS) == forces).all() else None
-
-
-def pulls_of(episodes: Episodes) -> Table:
-    """Return the rows of steps in which a pull is made: all but the last of each episode."""
-    made = np.ones(episodes.steps.rows, dtype=bool)
-    made[episodes.last()] = False
-    return episodes.steps.take(made)
-
-
-def episodes_with(
-    lengths: NDArray[np.int64], pulls: Mapping[str, NDArray[Any]], policy: str
-) -> Episodes:
-    """Return episodes of so many pulls each, to be repeated; `pulls_of` returns these again."""
-    whole = PULLS.only(*pulls)
-    steps = whole.empty(int(lengths.sum()) + len(lengths))
-    # a pull a row here, a state a row there: the last state of an episode has none
-    at = np.arange(int(lengths.sum())) + np.repeat(np.arange(len(lengths)), lengths)
-    for name, values in steps.items():
-        values[at] = pulls[name]
-    columns = {"length": lengths, "planner_steps": np.zeros_like(lengths)}
-    columns["policy"] = np.full(len(lengths), policy)
-    return Episodes(Table(RECORDED.only(*columns), columns), Table(whole, steps))

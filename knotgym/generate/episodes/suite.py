@@ -31,7 +31,7 @@ from knotgym.control import replay
 from knotgym.datasets import EpisodeDataset, digests_of, expanded, open_episodes, suite_card
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
 from knotgym.generate.episodes.episode_configs import CollectConfig
-from knotgym.generate.episodes.recordings import Recording, first_difference, recordings
+from knotgym.generate.episodes.recordings import Recording, first_difference
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
 from knotgym.rope import ENGINES
@@ -65,7 +65,7 @@ def make_suite(
     """
     progress = progress or Progress(options.quiet)
     root = Path(out) if out is not None else minari_root()
-    folder, known = root / "knotgym", recordings() if config.recorded else {}
+    folder, known = root / "knotgym", Recording.read_all() if config.recorded else {}
     wanted = _recorded(config, known) if config.recorded else [*config.sets()]
     for one in wanted:  # before anything is made
         require_collectable(one, root, options)
@@ -152,7 +152,7 @@ def _describe_set(made: Path) -> dict[str, Any]:
         ) from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
     digests, agreement = digests_of([episodes]), "no"
-    if recording := recordings().get(dataset.name):
+    if recording := Recording.read_all().get(dataset.name):
         first = first_difference(episodes, recording)
         agreement = "same" if first is None else f"differs from episode {first}"
         # what stepping gave besides, such as rewards: its digest was written with it

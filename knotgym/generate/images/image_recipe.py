@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed, InvalidInput, Stream
-from knotgym.datasets import PictureRow, arrow, drawn, drawn_table, finish_images, shard_name
+from knotgym.datasets import PictureRow, arrow, drawn_table, finish_images, parquet, shard_name
 from knotgym.generate.images.frames import Chooser, PicturedRope, Quota, frames_of
 from knotgym.generate.images.images_config import ImagesConfig
+from knotgym.rendering import AppearanceConfig
 from knotgym.rope import RopeConfig
 from knotgym.runs import (
     Call,
@@ -181,7 +182,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     waves = yield from _filled(_Waves(config, plan))
     rows_of = _files(waves)
     results = yield [
-        Call(f"rendering pictures {name}", drawn, (rows, config.appearance))
+        Call(f"rendering pictures {name}", _drawn, (rows, config.appearance))
         for name, rows in rows_of.items()
     ]
     files = [place / name for name in rows_of]
@@ -190,6 +191,11 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
         path.write_bytes(result["parquet"].tobytes())
     finish_images(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
+
+
+def _drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> Result:
+    """Render rows; return the bytes of their Parquet file."""
+    return {"parquet": np.frombuffer(parquet(drawn_table(rows, config)), dtype=np.uint8)}
 
 
 def _filled(waves: "_Waves") -> Recipe["_Waves"]:

@@ -103,6 +103,6 @@ class ImagesConfig:
 
         What this configuration holds out for the other splits is held out.
         """
-        from knotgym.generate import picture_block  # through the door, as it imports this module
+        from knotgym.generate.images.image_recipe import picture_block  # which imports this module
 
         return picture_block(self, number, count, seed)

@@ -37,7 +37,7 @@ from knotgym.generate.states.state_rows import (
 )
 from knotgym.rope import Array, Rope, drawn_actions, quantized
 from knotgym.runs import Call, Recipe, Result
-from knotgym.states import STATE_SPLITS, source_of
+from knotgym.states import SOURCES, STATE_SPLITS
 from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
 
 # A spreading pull flees from strands nearer than _REACH in the picture, metres, and at least _APART
@@ -324,7 +324,7 @@ def _ropes_of(rows: Table) -> list[int]:
 
 def _key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
     """Return the key of a rope's random stream."""
-    stream = source_of(config.source).stream
+    stream = SOURCES[config.source].stream
     assert stream is not None
     return stream.key(config.seed, rope)
 

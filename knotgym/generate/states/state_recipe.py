@@ -21,7 +21,7 @@ from knotgym.generate.states.demonstrations import demonstrate
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import ROWS, joined, states_of
 from knotgym.runs import Progress, Recipe, RunOptions, compile_first, identity, run
-from knotgym.states import States, source_of, write_states
+from knotgym.states import SOURCES, States, write_states
 from knotgym.topology import type_of
 
 # Settings that only say when a run gives up. A run may be resumed with others.
@@ -87,7 +87,7 @@ def _rows(config: GenerateConfig, report: dict[str, Any]) -> Recipe[tuple[Table,
     parts, splits = list[Table](), list[NDArray[np.str_]]()
     for one in config.parts:
         found: dict[str, Any] = {}
-        source = source_of(one.source)
+        source = SOURCES[one.source]
         apart_from = [part["points"] for part in parts]
         rows = yield from source.function("rows")(one, found, apart_from)
         splits.append(source.function("splits")(one, rows))
