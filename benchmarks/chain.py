@@ -30,7 +30,7 @@ from rich.console import Console
 from knotgym.common import Stream
 from knotgym.control import replay
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, evaluate
+from knotgym.generate import EvaluateConfig, Recording, evaluate
 from knotgym.rope import CHAIN, MUJOCO, ChainSimulation, Rope, RopeConfig, Simulation, simulation
 from knotgym.runs import RunOptions, wilson
 from knotgym.states import read_states, shipped

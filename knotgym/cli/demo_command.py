@@ -42,7 +42,7 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
         options = RunOptions(workers=1, quiet=True)
         dataset = collect(config, folder / "minari", options, progress=Progress(quiet=True))
         played = open_episodes(dataset)
-        first = Image.fromarray(Transitions(dataset, "pixels").observations(0, 0, 1)[0])
+        first = Image.fromarray(Transitions(dataset, observation="pixels").observations(0, 0, 1)[0])
         first.resize((4 * first.width, 4 * first.height), Image.Resampling.NEAREST).save(
             folder / "reset.png"
         )

@@ -10,7 +10,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import Any, TypedDict
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,29 @@ from knotgym.rope import LONGEST, force_choices, nearest_beads
 
 
 class Opening(TypedDict, total=False):
-    """The keywords of every loader, see `knotgym.loaders`."""
+    """The keywords of every loader, all None or False by default.
+
+    Attributes:
+        observation: "pixels", "state", "both", "symbolic" or "marked"; None for the
+            environment's.
+        picture: a `knotgym.rendering.camera.PictureConfig` to render with; None for the
+            environment's pictures.
+        action: "pull", "bead", "macro" or "decision"; None for the environment's.
+        frame: "world", or "canonical" for actions and vertices in the rope's own frame, see
+            `TaskConfig`; None for the environment's. Actions are in the frame of the state in
+            which they begin.
+        relabel: None for episodes as they are. "last": the goal becomes the last new code that
+            an episode reached, and the episode ends there. "all": one such segment for every
+            code that it reached. An episode that never leaves its first code gives none.
+        labels: use the actions that an expert would have taken (`collect --set labels=expert`)
+            instead of those taken; they don't lead to the next observation.
+        cache: a folder to keep uncompressed pictures in; see `knotgym.loaders`.
+        window: steps, chunks, stacks, histories and sampled goals of `batch`; None for single
+            transitions.
+        reward: a function of an episode, as a dict of its row of the table of episodes, and of
+            its T + 1 rows of steps, that returns the rewards (T,) of its pulls; None for those
+            of the dataset. Ends stay as they are.
+    """
 
     observation: str | None
     picture: Any
@@ -59,72 +81,35 @@ class Transitions:
         window: steps, chunks, stacks, histories and sampled goals of `batch`.
     """
 
-    def __init__(
-        self,
-        dataset: Any,
-        observation: str | None = None,
-        picture: Any = None,
-        action: str | None = None,
-        frame: str | None = None,
-        relabel: str | None = None,
-        labels: bool = False,
-        cache: Any = None,
-        window: Window | None = None,
-        reward: Callable[[dict[str, Any], Table], ArrayLike] | None = None,
-    ) -> None:
+    def __init__(self, dataset: Any, **opening: Unpack[Opening]) -> None:
         """Open a dataset.
 
         Args:
             dataset: id or folder of a Minari dataset, `minari.MinariDataset`, or an episode file.
-            observation: "pixels", "state", "both", "symbolic" or "marked"; None for the
-                environment's.
-            picture: a `knotgym.rendering.camera.PictureConfig` to render with; None for the
-                environment's pictures.
-            action: "pull", "bead", "macro" or "decision"; None for the environment's.
-            frame: "world", or "canonical" for actions and vertices in the rope's own frame, see
-                `TaskConfig`; None for the environment's. Actions are in the frame of the state in
-                which they begin.
-            relabel: None for episodes as they are. "last": the goal becomes the last new code that
-                an episode reached, and the episode ends there. "all": one such segment for every
-                code that it reached. An episode that never leaves its first code gives none.
-            labels: use the actions that an expert would have taken (`collect --set labels=expert`)
-                instead of those taken; they don't lead to the next observation.
-            cache: a folder to keep uncompressed pictures in; see `knotgym.loaders`.
-            window: steps, chunks, stacks, histories and sampled goals of `batch`; None for single
-                transitions.
-            reward: a function of an episode, as a dict of its row of the table of episodes, and of
-                its T + 1 rows of steps, that returns the rewards (T,) of its pulls; None for those
-                of the dataset. Ends stay as they are.
+            opening: see `Opening`.
 
         Raises:
             InvalidInput: these settings don't go together, or the dataset lacks what they need.
             MissingFile, InvalidFile: there is no such dataset, or it is damaged.
         """
+        known = Opening.__annotations__
+        if unknown := opening.keys() - known.keys():
+            raise InvalidInput(
+                f"no argument {min(unknown)!r} of loaders; there is {', '.join(known)}"
+            )
         self.dataset = columns_of(dataset)
-        self._opening: Opening = {
-            "observation": observation,
-            "picture": picture,
-            "action": action,
-            "frame": frame,
-            "relabel": relabel,
-            "labels": labels,
-            "cache": cache,
-            "window": window,
-            "reward": reward,
-        }
-        self.task, self.window = self.dataset.task, window
-        self.action = self.task.action if action is None else action
-        self.frame = self.task.frame if frame is None else frame
+        self._opening, self.task = opening, self.dataset.task
+        self.window, self._reward = opening.get("window"), opening.get("reward")
+        self.action = opening.get("action") or self.task.action
+        self.frame = opening.get("frame") or self.task.frame
         self.leads = self.action in ("macro", "decision")  # a transition is a macro-action
-        self._labels, self._relabelled, self._reward = labels, relabel is not None, reward
-        self._check()
-        self._frames = DrawnFrames(
-            self.dataset,
-            observation or self.task.observation,
-            picture,
-            cache,
-            self.frame == "canonical",
-        )
+        relabel, observation = opening.get("relabel"), opening.get("observation")
+        observation = observation or self.task.observation
+        self._labels, self._relabelled = opening.get("labels", False), relabel is not None
+        self._check(observation)
+        picture, cache = opening.get("picture"), opening.get("cache")
+        canonical = self.frame == "canonical"
+        self._frames = DrawnFrames(self.dataset, observation, picture, cache, canonical)
         episodes = self.dataset.episodes
         if relabel is None:
             self.episode, lengths = np.arange(episodes.episodes.rows), episodes.episodes["length"]
@@ -147,14 +132,13 @@ class Transitions:
         self.starts: Ids = np.concatenate([[0], np.cumsum(counts)])
         self._states = states
 
-    def _check(self) -> None:
+    def _check(self, observation: str) -> None:
         """Refuse settings that don't go together or that the dataset has no columns for."""
         steps, window, path = self.dataset.episodes.steps, self.window, self.dataset.path
         if window is not None and not isinstance(window, Window):
             raise InvalidInput(f"window must be such as Window(n_step=5), got {window!r}")
         goals = window is not None and window.goals is not None
         chunk = window is not None and window.chunk is not None
-        observation = self._opening["observation"] or self.task.observation
         TaskConfig.require_view(observation, self.action, self.frame)
         refusals = {
             f"the expert's actions are pulls: use labels without action {self.action!r}": (
@@ -165,8 +149,7 @@ class Transitions:
             "actions that follow one another are seen from where each begins: leave out chunk and"
             " history, or use frame 'world' and another action than 'decision'": (
                 (self.frame == "canonical" or self.action == "decision")
-                and window is not None
-                and (window.chunk is not None or window.history is not None)
+                and (chunk or (window is not None and window.history is not None))
             ),
             "the expert's actions lead to the episode's own goal: use labels without relabel": (
                 self._labels and self._relabelled

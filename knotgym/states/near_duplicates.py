@@ -88,17 +88,21 @@ class Spectra(NamedTuple):
         agreement = (flat + np.abs(self.upright) @ np.abs(others.upright).T) / a.shape[1]
         return self._distances(self.square[:, None], others.square[None], agreement)
 
-    def pair_distances(self, others: Spectra) -> Array:
-        """Compute the distance of row k to row k of others: float64 (n,), metres."""
+    def pair_distances(self, others: Spectra, *, mirrors: bool = True) -> Array:
+        """Compute the distance of row k, or of a single row, to row k of others: float64 (n,), m.
+
+        Without `mirrors` neither reflection nor switch is tried.
+        """
         best = np.full(len(self.flat), -np.inf)
         flat, upright = self.flat.conj(), self.upright.conj()
         for reverse in (False, True):
             flat_other = _negated(others.flat) if reverse else others.flat
             upright_other = _negated(others.upright) if reverse else others.upright
-            # the modulus, because a switch may choose the sign
-            z = np.abs(np.fft.ifft(upright_other * upright, axis=1).real)
+            z = np.fft.ifft(upright_other * upright, axis=1).real
+            if mirrors:  # a switch may choose the sign
+                z = np.abs(z)
             # reflection: the transform of conj(q) is the conjugate of q's at negated frequencies
-            for shown in (flat_other, _negated(flat_other).conj()):
+            for shown in (flat_other, _negated(flat_other).conj())[: 1 + mirrors]:
                 both = np.abs(np.fft.ifft(shown * flat, axis=1)) + z
                 best = np.maximum(best, both.max(axis=1))
         return self._distances(self.square, others.square, best)
@@ -110,7 +114,7 @@ class Spectra(NamedTuple):
         agreement = flat + (others.upright @ self.upright[0].conj()).real
         return self._distances(self.square, others.square, agreement / self.flat.shape[1])
 
-    def take(self, rows: NDArray[np.integer]) -> Spectra:
+    def take(self, rows: slice | NDArray[np.integer]) -> Spectra:
         """Select rows, in the order given."""
         return Spectra(*(one[rows] for one in self))
 
@@ -180,7 +184,7 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
             some = order[first : first + 64]
             if bounds[some[0]] >= distance[k]:
                 break
-            apart = a.take(np.full(len(some), k)).pair_distances(b.take(some))
+            apart = a.take(slice(k, k + 1)).pair_distances(b.take(some))
             if apart.min() < distance[k]:
                 distance[k], row[k] = apart.min(), some[apart.argmin()]
     return distance, row
@@ -210,13 +214,7 @@ def distances(points: Array, others: Array) -> Array:
     Returns:
         float64 (n,), root mean square distance of the beads, metres.
     """
-    a = points - points.mean(axis=0)
-    b = others - others.mean(axis=1, keepdims=True)
-    flat_a, flat_b = a[:, 0] + 1j * a[:, 1], b[..., 0] + 1j * b[..., 1]
-    # the best rotation makes the sum of b conj(a) real and positive
-    agreement = np.abs(flat_b @ flat_a.conj()) + b[..., 2] @ a[:, 2]
-    square = np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement)
-    return np.asarray(np.sqrt(square / len(points)))
+    return Spectra.of(points[None]).turned_distances(Spectra.of(others))
 
 
 def _negated(spectra: NDArray[Any]) -> NDArray[Any]:
@@ -249,40 +247,24 @@ def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
     few = points
     if len(points) > MOST:
         few = points[np.linspace(0, len(points) - 1, MOST).round().astype(int)]
-    pairs = [
-        np.concatenate([apart(one, few[k + 1 :]) for k, one in enumerate(few)])
-        for apart in (distances, _shape_distances)
-    ]
+    spectra, turned, shapes = Spectra.of(few), list[Array](), list[Array]()
+    for k in range(len(few)):
+        own, rest = spectra.take(slice(k, k + 1)), spectra.take(slice(k + 1, None))
+        turned.append(own.turned_distances(rest))
+        shapes.append(own.pair_distances(rest, mirrors=False))
     centred = points - points.mean(axis=1, keepdims=True)
     gyration = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
     height = np.ptp(points[..., 2], axis=1)
     found = [find_crossings(one) for one in few]
     positions = [np.concatenate([one.over_place, one.under_place]) for one in found]
     return {
-        "distance": _median_and_minimum(pairs[0]),
-        "shape": _median_and_minimum(pairs[1]),
+        "distance": _median_and_minimum(np.concatenate(turned)),
+        "shape": _median_and_minimum(np.concatenate(shapes)),
         "gyration": [float(gyration.min()), float(gyration.max())],
         "height": [float(height.min()), float(height.max())],
         "visits": _visit_distance(positions, points.shape[1]),
         "bare": _bare_stretch(np.concatenate(positions), points.shape[1]),
     }
-
-
-def _shape_distances(
-    points: NDArray[np.float64], others: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Compute `distances` minimized also over the base bead and the direction along the rope."""
-    a = points - points.mean(axis=0)
-    b = others - others.mean(axis=1, keepdims=True)
-    best = np.full(len(others), -np.inf)
-    for walked in (b, b[:, ::-1]):
-        # the agreement of `distances`, for every shift of the base bead at once
-        flat = _correlation(walked[..., 0] + 1j * walked[..., 1], a[:, 0] + 1j * a[:, 1])
-        upright = _correlation(walked[..., 2], a[:, 2]).real
-        best = np.maximum(best, (np.abs(flat) + upright).max(axis=1))
-    # |a|^2 + |b|^2 - 2 agreement; rounding can make it negative
-    square = np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * best)
-    return np.asarray(np.sqrt(square / len(points)))
 
 
 def _visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> float | None:
@@ -314,12 +296,6 @@ def _bare_stretch(positions: NDArray[np.float64], beads: int) -> float | None:
     # the gap after the last position wraps around to the first
     ordered = np.sort(positions)
     return float(np.diff(ordered, append=ordered[0] + beads).max())
-
-
-def _correlation(rows: NDArray[Any], one: NDArray[Any]) -> NDArray[Any]:
-    """Correlate rows with `one` at every cyclic shift: complex (n, beads)."""
-    # sum_j row[j + s] conj(one[j]) for all s, by the correlation theorem
-    return np.asarray(np.fft.ifft(np.fft.fft(rows, axis=1) * np.fft.fft(one).conj(), axis=1))
 
 
 def _median_and_minimum(values: NDArray[np.float64]) -> list[float] | None:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from knotgym.datasets import locate, summary
 from knotgym.rope import Rope
 from knotgym.states.near_duplicates import (
+    Spectra,
     _bare_stretch,
-    _shape_distances,
     _visit_distance,
     distances,
     spread_of,
@@ -49,8 +49,9 @@ def test_shapes_are_as_far_apart_as_at_the_best_of_all_walks(rope: Rope) -> None
     one, other = rope.from_curve(curled(2)), rope.from_curve(curled(3))
     walks = [np.roll(way, k, axis=0) for way in (other, other[::-1]) for k in range(100)]
     best = distances(one, np.array(walks)).min()
-    assert _shape_distances(one, other[None])[0] == pytest.approx(best)
-    assert _shape_distances(other, one[None])[0] == pytest.approx(best)
+    a, b = Spectra.of(one[None]), Spectra.of(other[None])
+    assert a.pair_distances(b, mirrors=False)[0] == pytest.approx(best)
+    assert b.pair_distances(a, mirrors=False)[0] == pytest.approx(best)
 
 
 def test_visits_are_as_far_apart_as_the_curls(rope: Rope) -> None:

@@ -281,8 +281,7 @@ class Chooser:
         if (own.turned_distances(known.take(like)) < NEAR).any():
             return False
         others = like[[self.chosen[row].split != split for row in like.tolist()]]
-        same = own.take(np.zeros(len(others), np.int64))
-        if (same.pair_distances(known.take(others)) < NEAR).any():
+        if (own.pair_distances(known.take(others)) < NEAR).any():
             return False
         for column, new in zip(known, own, strict=True):
             column[n] = new[0]
