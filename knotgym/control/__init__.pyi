@@ -19,11 +19,11 @@ from .policies import training_card as training_card
 from .policy_config import PassPlannerConfig as PassPlannerConfig
 from .policy_config import PolicyConfig as PolicyConfig
 from .policy_config import PullPlannerConfig as PullPlannerConfig
+from .recorded_policy import dataset_faults as dataset_faults
 from .recorded_policy import replay as replay
+from .recorded_policy import verify as verify
 from .sampler import Player as Player
 from .sampler import Policy as Policy
 from .sampler import PolicyFamily as PolicyFamily
 from .sampler import Pulls as Pulls
 from .sampler import rollouts as rollouts
-from .verification import dataset_faults as dataset_faults
-from .verification import verify as verify

@@ -6,16 +6,18 @@ every command that resets to the same starts, such as `knotgym evaluate` with th
 episodes were recorded with.
 """
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from knotgym.common import InvalidPolicy, KnotgymError, Table
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.sampler import Ids, Player, PolicyFamily, Pulls, SimplePolicy, rollouts
-from knotgym.datasets import MACROS, Episodes, open_episodes
+from knotgym.datasets import MACROS, Episodes, faults, locate, open_episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 
 _PREFIX = "recorded:"  # of a policy's name; a dataset's id or path follows
@@ -35,6 +37,29 @@ def replay(
     """
     policy = SimplePolicy("recorded", partial(_RecordedPlayer, episodes, ""))
     return rollouts(policy, task, episodes.episodes if seeds is None else seeds)
+
+
+def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
+    """Verify a dataset: checksums, schema, codes by two labellers, exact replays, pictures, splits.
+
+    Args:
+        source: a folder or a file that knotgym wrote, or the id of a Minari dataset.
+        sample: of episodes, how many drawn ones to play again, where all would take too long; 0 for
+            all. Columns are then not compared with Minari's form.
+
+    Returns:
+        Faults; each names the file and, where possible, the row or step. Empty if there are none.
+
+    Raises:
+        FileNotFoundError: there is nothing at `source`.
+        MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
+    """
+    return list(dataset_faults(source, sample=sample))
+
+
+def dataset_faults(source: str | os.PathLike[str], *given: Any, **named: Any) -> Iterator[str]:
+    """Yield the faults that `verify` lists as soon as they are found; arguments as of `faults`."""
+    return faults(locate(os.fspath(source)), replay, *given, **named)
 
 
 class _RecordedPlayer(Player):

@@ -10,7 +10,6 @@ from .episode_dataset import columns_of as columns_of
 from .episode_dataset import digests_of as digests_of
 from .episode_dataset import open_episodes as open_episodes
 from .episode_dataset import write_episodes as write_episodes
-from .episode_verification import ReplayFault as ReplayFault
 from .episode_verification import expanded as expanded
 from .episode_verification import show_episodes as show_episodes
 from .episodes import EPISODES as EPISODES
@@ -40,12 +39,12 @@ from .image_table import shards as shards
 from .located import locate as locate
 from .located import try_files as try_files
 from .manifest import machine as machine
-from .merging import merge as merge
 from .minari_form import MinariMetadata as MinariMetadata
 from .minari_form import loading_lines as loading_lines
 from .minari_form import publish as publish
 from .page import write_page as write_page
 from .subsets import delete as delete
 from .subsets import kept as kept
+from .subsets import merge as merge
 from .subsets import select as select
 from .subsets import split as split

@@ -1,8 +1,16 @@
 """Verification of all that a path or an id names, whatever its kind."""
 
 from collections.abc import Iterator
+from functools import partial
+from itertools import chain
 
-from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
+from knotgym.datasets.episode_verification import (
+    Count,
+    Replay,
+    ReplayFault,
+    uncounted,
+    verify_episodes,
+)
 from knotgym.datasets.image_rows import Map, image_faults
 from knotgym.datasets.located import Located
 from knotgym.datasets.state_verification import folder_faults, state_faults
@@ -14,6 +22,8 @@ def faults(
 ) -> Iterator[str]:
     """Yield the faults of datasets, each as soon as it is found.
 
+    If only replays differ, a last line says that machines round differently.
+
     Args:
         found: what a path or an id names.
         replay: plays episodes again.
@@ -22,10 +32,20 @@ def faults(
         sample: how many drawn episodes of each dataset to play again; 0 for all.
     """
     if found.pictures:
-        yield from image_faults(found.pictures, each, count)
+        own = image_faults(found.pictures, each, count)
     elif found.states and found.root.is_dir():
-        yield from folder_faults(found.root, replay, count)
+        own = folder_faults(found.root, replay, count)
     elif found.states:
-        yield from state_faults(read_states(found.states), count)
-    for one in () if found.pictures or found.states else found.episodes:
-        yield from verify_episodes(one, replay, count=count, sample=sample)
+        own = state_faults(read_states(found.states), count)
+    else:
+        verified = partial(verify_episodes, replay=replay, count=count, sample=sample)
+        own = chain.from_iterable(map(verified, found.episodes))
+    kinds = set[type]()
+    for fault in own:
+        kinds.add(type(fault))
+        yield fault
+    if kinds == {ReplayFault}:
+        yield (
+            f"{found.root}: only replays differ, and other machines may round differently; the"
+            " manifest says which made it"
+        )

@@ -16,23 +16,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, KnotgymError, MissingFile, as_json, one_line
+from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, digests_of, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
-from knotgym.envs import TaskConfig, task_sides
+from knotgym.envs import EpisodeBatch, TaskConfig, task_sides
 from knotgym.rope import Array, Rope
 from knotgym.states import NEAR, States, distances, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
-Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.verification.replay`
+Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.replay`
 # of the metadata: a word that nothing confirms, and that may be a stranger's
 _CLAIMED = ("author", "algorithm_name", "ref_min_score", "ref_max_score", "code_permalink")
 _BLOCK = 1024  # episodes played again between two reports of progress
 # metres, root mean square over the beads, after the best translation and rotation about z. Reset
 # noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
 _MATCH = NEAR / 2
+_ROUNDING = 1e-9  # m and 1: other processors round the noise of a reset differently
+_MOST_EPISODES = 10_000_000  # of a run, whose seeds are drawn again
 _HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 
 
@@ -78,7 +80,7 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
 def verify_episodes(
     source: Any, replay: Replay, *, count: Count = uncounted, sample: int = 0
 ) -> Iterator[str]:
-    """Verify a file of episodes or a Minari dataset.
+    """Verify a file of episodes or a Minari dataset; without other faults, its run's seeds, too.
 
     Args:
         source: what `open_episodes` takes.
@@ -92,6 +94,15 @@ def verify_episodes(
     Raises:
         MissingFile: there is no such file.
     """
+    clean = True
+    for fault in _episode_faults(source, replay, count, sample):
+        clean = False
+        yield fault
+    if clean:
+        yield from _start_faults(open_episodes(source).drawn(sample))
+
+
+def _episode_faults(source: Any, replay: Replay, count: Count, sample: int) -> Iterator[str]:
     try:
         dataset = open_episodes(source)
     except MissingFile:
@@ -331,3 +342,38 @@ def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]
         name: (same[0].states, np.unique(np.concatenate([one.rows for one in same])))
         for name, same in (("start", starts), ("goal", goals))
     }
+
+
+def _start_faults(dataset: EpisodeDataset) -> Iterator[str]:
+    """Yield episodes of a collection that don't begin as the seeds of its run say."""
+    run, rows = dataset.attributes.get("run"), dataset.episodes.episodes
+    config = run.get("config") if isinstance(run, dict) else None
+    if not isinstance(config, dict):
+        return
+    seed, count = config.get("seed"), config.get("episodes")
+    if config.get("steps"):  # takes the place of `episodes`; as many were played as it took
+        summary = run.get("summary") if isinstance(run, dict) else None
+        count = summary.get("played") if isinstance(summary, dict) else None
+    if type(seed) is not int or type(count) is not int or not 0 <= count <= _MOST_EPISODES:
+        yield f"{dataset.path}: its run had seed {seed!r} and {count!r} episodes, not two numbers"
+        return
+    # a collection may keep successes alone: then its seeds are some of these
+    of_run = [Stream.EPISODE.derived_seed(seed, number) for number in range(count)]
+    task = dataset.found_task
+    for first in range(0, rows.rows, _BLOCK):
+        some = np.arange(first, min(first + _BLOCK, rows.rows))
+        own = rows.take(some)
+        # begun again as the run began them, which draws start, goal and noise from the seed
+        batch = EpisodeBatch(task, len(some))
+        batch.begin(np.arange(len(some)), own["seed"].clip(0).tolist())
+        off = np.abs(batch.start_qpos - own["start_qpos"]).max(axis=1)
+        wrong = {
+            "its seed is none of the run's": ~np.isin(own["seed"], of_run),
+            "its seed draws another start": batch.start_row != own["start"],
+            "its seed draws another goal": batch.goal_row != own["goal"],
+            "its seed draws another noise of the start": off > _ROUNDING,
+        }
+        for row, found in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):
+            if any(found):
+                number = dataset.numbers[row]
+                yield f"{dataset.path}, episode {number}: {[*wrong][found.index(True)]}"

@@ -19,13 +19,13 @@ from knotgym.datasets.episode_verification import Count, shared_faults, uncounte
 from knotgym.datasets.image_table import (
     COLUMNS,
     arrow,
+    digest_of,
     encode,
-    header_of,
     marks_base,
     points_of,
-    read_rows,
     read_table,
     row_line,
+    rows_of,
     shards,
     table_of,
 )
@@ -41,6 +41,7 @@ _COLOURS = ("published", "single", "gradient")
 # what foreign numbers make the renderer and NumPy raise
 _RAISED = (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error)
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
+_SHARED = ("gauss_code", "nx", "split", "points", "source", "appearance")  # compared by splits
 _MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones would fill the memory
 
 
@@ -122,38 +123,44 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
         yield from [*faults, *listed_faults(folder, manifest)]
     files = shards(path)
     count("files of pictures", 0, len(files))
-    for done, faults in enumerate(each(_shard_faults, files), 1):
+    parts = list[Any]()
+    for done, (faults, part) in enumerate(each(_shard_faults, files), 1):
         count("files of pictures", done, len(files))
         yield from faults
-    try:
-        compared = ("gauss_code", "nx", "split", "points", "source", "appearance")
-        table = read_table(path, columns=compared)
-        points_of(table)
-    except InvalidFile:  # a fault already
+        parts += [] if part is None else [part]
+    if len(parts) < len(files):  # a fault already
         return
-    if len(table):
+    if len(table := arrow().concat_tables(parts)):
         yield from _split_faults(table)
     else:
         yield f"{folder.name} has no rows"
 
 
-def _shard_faults(path: Path) -> list[str]:
-    """List the faults of the rows of a shard, and compare the rows with its `content_sha256`."""
-    faults, now = [], hashlib.sha256()
+def _shard_faults(path: Path) -> tuple[list[str], Any]:
+    """List the faults of the rows of a shard; return them and the columns that splits share.
+
+    The rows are compared with its `content_sha256`. Of a shard that can't be read, or whose points
+    aren't finite, no columns are returned.
+    """
+    faults, digest = list[str](), hashlib.sha256()
     try:
-        for n, row in enumerate(read_rows(path)):
-            try:
-                own = list(_row_faults(row))
-            except _RAISED as error:
-                own = [f"it can't be rendered or measured: {one_line(error)}"]
-            faults += [f"{path.name} row {n}: {fault}" for fault in own]
-            now.update(row_line(row))
-        _, digest = header_of(path)
+        table = read_table(path)
     except (InvalidFile, MissingFile) as error:
-        return [str(error)]
-    if digest != now.hexdigest():
+        return [str(error)], None
+    for n, row in enumerate(rows_of(table)):
+        try:
+            own = list(_row_faults(row))
+        except _RAISED as error:
+            own = [f"it can't be rendered or measured: {one_line(error)}"]
+        faults += [f"{path.name} row {n}: {fault}" for fault in own]
+        digest.update(row_line(row))
+    if digest_of(table) != digest.hexdigest():
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
-    return faults
+    try:
+        points_of(table)
+    except InvalidFile:
+        return faults, None
+    return faults, table.select(_SHARED)
 
 
 def _row_faults(row: Mapping[str, Any]) -> Iterator[str]:

@@ -109,7 +109,7 @@ def parquet(rows: Any) -> bytes:
     """Return the bytes of a shard of rows, or a pyarrow.Table; the same rows give the same."""
     table = table_of(rows) if isinstance(rows, Sequence) else rows
     digest = hashlib.sha256()
-    for row in _rows(table):
+    for row in rows_of(table):
         digest.update(row_line(row))
     named = {"format": FORMAT, "format_version": VERSION, _DIGEST: digest.hexdigest()}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
@@ -224,10 +224,10 @@ def read_rows(
     Arguments and errors are those of `read_table`.
     """
     for shard in shards(path, split):
-        yield from _rows(read_table(shard, split, columns))
+        yield from rows_of(read_table(shard, split, columns))
 
 
-def _rows(table: Any) -> Iterator[dict[str, Any]]:
+def rows_of(table: Any) -> Iterator[dict[str, Any]]:
     """Iterate over the rows of a pyarrow.Table, see `read_rows`."""
     pngs = _pngs(columns_among(table.column_names) | COLUMNS)
     for batch in table.to_batches():
@@ -263,21 +263,25 @@ def points_of(table: Any) -> NDArray[np.float64]:
     return points
 
 
-def header_of(shard: Path) -> tuple[list[str], str]:
-    """Return the names of the columns of a shard, and its `content_sha256`, "" if it has none.
+def column_names(shard: Path) -> list[str]:
+    """Return the names of the columns of a shard.
 
     Raises:
         InvalidFile: it is truncated or no Parquet file.
     """
     with _faults_named(shard):
-        file = _opened(shard)
-        return [*file.schema_arrow.names], str(_named(file).get(_DIGEST, ""))
+        return [*arrow("pyarrow.parquet").read_schema(shard).names]
+
+
+def digest_of(table: Any) -> str:
+    """Return the `content_sha256` of the shard that a table was read from, "" if it has none."""
+    return str(_named(table.schema).get(_DIGEST, ""))
 
 
 def _read(path: Path, columns: list[str] | None) -> Any:
     with _faults_named(path):
-        file = _opened(path)
-        named = _named(file)
+        file = arrow("pyarrow.parquet").ParquetFile(path)
+        named = _named(file.schema_arrow)
         found = named.get("format", "none"), named.get("format_version", "none")
     if found != (FORMAT, VERSION):
         raise InvalidFile(
@@ -294,10 +298,6 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         return table
 
 
-def _opened(path: Path) -> Any:
-    return arrow("pyarrow.parquet").ParquetFile(path)
-
-
 @contextmanager
 def _faults_named(path: Path) -> Iterator[None]:
     """Raise what a damaged shard makes pyarrow raise as InvalidFile that names it."""
@@ -309,9 +309,9 @@ def _faults_named(path: Path) -> Iterator[None]:
         raise InvalidFile(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
 
 
-def _named(file: Any) -> dict[str, Any]:
-    """Read the metadata of an open shard under the key "knotgym"."""
-    named = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
+def _named(schema: Any) -> dict[str, Any]:
+    """Read the metadata of a shard's schema under the key "knotgym"."""
+    named = json.loads((schema.metadata or {}).get(b"knotgym", b"{}"))
     return named if isinstance(named, dict) else {}
 
 

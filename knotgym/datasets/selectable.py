@@ -19,8 +19,8 @@ from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, writ
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import (
     arrow,
+    column_names,
     columns_among,
-    header_of,
     parquet,
     points_of,
     read_table,
@@ -66,7 +66,7 @@ class StateRows:
 class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
-        stored, _ = header_of(self.digested)
+        stored = column_names(self.digested)
         known = columns_among(stored)
         wanted = [name for name in known if name in stored and known[name] != "image"]
         self.table, self.count = (table := read_table(path, columns=wanted)), len(table)

@@ -114,7 +114,7 @@ class Spectra(NamedTuple):
         agreement = flat + (others.upright @ self.upright[0].conj()).real
         return self._distances(self.square, others.square, agreement / self.flat.shape[1])
 
-    def take(self, rows: slice | NDArray[np.integer]) -> Spectra:
+    def take(self, rows: Any) -> Spectra:
         """Select rows, in the order given."""
         return Spectra(*(one[rows] for one in self))
 

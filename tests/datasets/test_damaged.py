@@ -17,7 +17,7 @@ from knotgym.common import InvalidFile
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import COLUMNS, parquet, table_of
-from knotgym.datasets.merging import merge
+from knotgym.datasets.subsets import merge
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 

@@ -24,7 +24,7 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.exports import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located, locate
-from knotgym.datasets.merging import merge
+from knotgym.datasets.subsets import merge
 from knotgym.states import read_states
 
 EXPERT = str(TINY["expert"])

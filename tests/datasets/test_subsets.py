@@ -13,10 +13,9 @@ from knotgym.common import InvalidInput, MissingFile, Occupied
 from knotgym.control import replay
 from knotgym.datasets import Episodes, delete, open_episodes, select, split
 from knotgym.datasets.exports import export
-from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.selectable import write_rows
-from knotgym.datasets.subsets import _matching_rows, kept
+from knotgym.datasets.subsets import _matching_rows, kept, merge
 from knotgym.states import read_states, shipped, write_states
 
 COLUMNS = {

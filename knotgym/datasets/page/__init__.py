@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import header_of, points_of, read_table, shards
+from knotgym.datasets.image_table import column_names, points_of, read_table, shards
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
 from knotgym.quality import GRADES, Quality
@@ -149,7 +149,7 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
 
 def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
     """Collect a perception table: states with their pictures."""
-    stored, _ = header_of(shards(source)[0])
+    stored = column_names(shards(source)[0])
     labels = ["crossings", *(name for name in ("line", "strands") if name in stored)]
     table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image", *labels])
     rows = _sampled(len(table), MOST_PICTURES)
