@@ -32,7 +32,7 @@ from knotgym.control import replay
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, Recording, evaluate
 from knotgym.rope import CHAIN, MUJOCO, ChainSimulation, Rope, RopeConfig, Simulation, simulation
-from knotgym.runs import RunOptions, wilson
+from knotgym.runs import Difference, RunOptions
 from knotgym.states import read_states, shipped
 from knotgym.topology import label_many
 
@@ -180,16 +180,12 @@ def compared(found: dict[str, dict[str, list[int]]]) -> list[str]:
     for key, parts in found.items():
         if len(parts) < 2 or not all(parts.values()):
             continue
-        ends = [
-            (sum(one) / (PART * len(one)), *wilson(sum(one), PART * len(one)), PART * len(one))
-            for one in (parts[CHAIN], parts[MUJOCO])
-        ]
-        (p, p_low, p_high, n), (q, q_low, q_high, m) = ends
-        low = p - q - float(np.hypot(p - p_low, q_high - q))
-        high = p - q + float(np.hypot(p_high - p, q - q_low))
+        sides = [np.arange(PART * len(one)) < sum(one) for one in (parts[CHAIN], parts[MUJOCO])]
+        p, q = (float(side.mean()) for side in sides)
+        _, low, high, _ = Difference.between(*((side, [np.arange(len(side))]) for side in sides))
         within += low <= 0 <= high
         interval = f"{100 * low:+.1f} to {100 * high:+.1f}"
-        rows.append(f"| {key} | {100 * p:.1f} ({n}) | {100 * q:.1f} ({m}) | {interval} |")
+        rows.append(f"| {key} | {100 * p:.1f} ({len(sides[0])}) | {100 * q:.1f} ({len(sides[1])}) | {interval} |")
     return [*rows, f"{within} of {len(rows)} hold 0"]
 
 

@@ -68,6 +68,11 @@ class Column(NamedTuple):
     padded: bool = False
 
     @property
+    def numpy(self) -> Any:
+        """The type as NumPy takes it, for new arrays; text gets as long as it needs."""
+        return np.str_ if self.dtype == "text" else self.dtype
+
+    @property
     def unknown(self) -> Any:
         """What rows hold that have no value: "", NaN, -1, False; None if files refuse that."""
         if self.dtype == "text":
@@ -243,12 +248,7 @@ class Table(Mapping[str, NDArray[Any]]):
         if never := [c.name for c in lacking if c.unknown is None]:
             raise InvalidInput(f"column {', '.join(never)} is missing")
         sized = schema.sized(**dict(self.schema.sizes))
-        added = {
-            c.name: np.full(
-                (self.rows, *sized.shape(c)), c.unknown, np.str_ if c.dtype == "text" else c.dtype
-            )
-            for c in lacking
-        }
+        added = {c.name: np.full((self.rows, *sized.shape(c)), c.unknown, c.numpy) for c in lacking}
         names = {*self, *added}
         return Table(schema._replace(sizes=()).only(*names), {**self, **added})
 

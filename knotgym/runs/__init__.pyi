@@ -3,8 +3,6 @@ from .executors import executor as executor
 from .identities import identity as identity
 from .intervals import Difference as Difference
 from .intervals import cluster_interval as cluster_interval
-from .intervals import difference_interval as difference_interval
-from .intervals import wilson as wilson
 from .journal import Result as Result
 from .progress import Progress as Progress
 from .progress import narrow_table as narrow_table

@@ -89,28 +89,28 @@ class Difference(NamedTuple):
     high: float
     better: float
 
+    @classmethod
+    def between(cls, *sides: tuple[ArrayLike, Sequence[ArrayLike]]) -> "Difference":
+        """Compare two means whose episodes share starts and goals, see `cluster_interval`.
 
-def difference_interval(*sides: tuple[ArrayLike, Sequence[ArrayLike]]) -> Difference:
-    """Compare two means whose episodes share starts and goals, see `cluster_interval`.
+        What a state adds to both cancels in the differences of paired episodes, so one side, which
+        holds them, has a narrower interval than two.
 
-    What a state adds to both cancels in the differences of paired episodes, so one side, which
-    holds them, has a narrower interval than two.
-
-    Args:
-        sides: values in [-1, 1] of each episode, and clusters: of differences; or of the one, and
-            of the one that is subtracted.
-    """
-    parts = [(np.asarray(values, np.float64), clusters) for values, clusters in sides]
-    mean = float(parts[0][0].mean()) - sum(float(values.mean()) for values, _ in parts[1:])
-    found = [_spread(values, own, float(values.var()) / len(values)) for values, own in parts]
-    variance = sum(one[0] for one in found)
-    if not variance:  # nothing varies; each state then counts as one trial
-        most = max(len(np.unique(np.asarray(one))) for _, own in parts for one in own)
-        half, better = wilson(0, most)[1], (1 + np.sign(mean)) / 2
-    else:
-        half = _student(max(1, min(freedom for _, freedom in found))) * math.sqrt(variance)
-        better = NormalDist().cdf(mean / math.sqrt(variance))
-    return Difference(mean, max(-1.0, mean - half), min(1.0, mean + half), float(better))
+        Args:
+            sides: values in [-1, 1] of each episode, and clusters: of differences; or of the one,
+                and of the one that is subtracted.
+        """
+        parts = [(np.asarray(values, np.float64), clusters) for values, clusters in sides]
+        mean = float(parts[0][0].mean()) - sum(float(values.mean()) for values, _ in parts[1:])
+        found = [_spread(values, own, float(values.var()) / len(values)) for values, own in parts]
+        variance = sum(one[0] for one in found)
+        if not variance:  # nothing varies; each state then counts as one trial
+            most = max(len(np.unique(np.asarray(one))) for _, own in parts for one in own)
+            half, better = wilson(0, most)[1], (1 + np.sign(mean)) / 2
+        else:
+            half = _student(max(1, min(freedom for _, freedom in found))) * math.sqrt(variance)
+            better = NormalDist().cdf(mean / math.sqrt(variance))
+        return cls(mean, max(-1.0, mean - half), min(1.0, mean + half), float(better))
 
 
 def _spread(

@@ -61,9 +61,8 @@ class Progress:
         self._clock, self._began = clock, clock()
         self._shown: float | None = None  # when a count was printed last
         self._told = self._began  # when anything was printed last
-        self._over = threading.Event()
-        plain = not quiet and not live
-        self._lines, self._waits, self._quiet = plain and lines, plain and not lines, quiet
+        self._over, self._quiet, plain = threading.Event(), quiet, not quiet and not live
+        self._lines, self._waits = plain and lines, plain and not lines
         self._printed = console or Console(file=sys.stderr)
 
     def __enter__(self) -> Progress:

@@ -69,16 +69,9 @@ class States:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     digest: str = ""
 
-    qpos = _column("qpos")
-    points = _column("points")
-    image = _column("image")
-    gauss_code = _column("gauss_code")
-    gauss_code_chiral = _column("gauss_code_chiral")
-    pd_code = _column("pd_code")
-    dt_code = _column("dt_code")
-    knot = _column("knot")
-    nx = _column("nx")
-    split = _column("split")
+    qpos, points, image, nx, split = map(_column, ("qpos", "points", "image", "nx", "split"))
+    gauss_code, gauss_code_chiral = map(_column, ("gauss_code", "gauss_code_chiral"))
+    pd_code, dt_code, knot = map(_column, ("pd_code", "dt_code", "knot"))
 
     @classmethod
     def of(
@@ -272,13 +265,11 @@ def read_states(path: str | os.PathLike[str] | None = None, *, images: bool = Tr
         MissingFile: there is no such file, set or dataset.
         InvalidFile: the file is foreign, truncated or of an unknown format version.
     """
-    path = resolve_states(path)
+    path, wanted = resolve_states(path), STATES if images else STATES.without("image")
     if format_of(path) == VERTICES_FORMAT:
         (table,), attributes = read_tables(path, VERTICES, format=VERTICES_FORMAT)
         return _laid(table, attributes, images=images)
-    (table,), attributes = read_tables(
-        path, STATES if images else STATES.without("image"), format=FORMAT
-    )
+    (table,), attributes = read_tables(path, wanted, format=FORMAT)
     attributes.pop("form", None)  # the reader's word for a file by vertices, not a file's own
     for name in (*ATTRIBUTES, DIGEST):
         kinds = (dict, list) if name == "config" else str
@@ -328,17 +319,13 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
 def _derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Compute columns of rows that have points, and perhaps a code with chirality."""
     wanted = [c for c in STATES.columns if c.name in names and c.derived]
-    codes = columns.get("gauss_code_chiral", np.full(len(columns["points"]), None))
-    ropes = [
-        RopeAtRest(points, code=None if code is None else GaussCode.parse(str(code)))
-        for points, code in zip(columns["points"] if wanted else (), codes, strict=False)
-    ]
+    if not wanted:
+        return {}
+    texts = columns.get("gauss_code_chiral", np.full(len(columns["points"]), None)).tolist()
+    codes = [None if text is None else GaussCode.parse(text) for text in texts]
+    ropes = [RopeAtRest(p, code=code) for p, code in zip(columns["points"], codes, strict=True)]
     return {
-        c.name: np.array(
-            [c.derived(rope) for rope in ropes], np.str_ if c.dtype == "text" else c.dtype
-        )
-        for c in wanted
-        if c.derived
+        c.name: np.array([c.derived(rope) for rope in ropes], c.numpy) for c in wanted if c.derived
     }
 
 
@@ -355,8 +342,12 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """
     if not parts:
         raise InvalidFile("nothing to merge: give at least one state file")
-    _require_equal("rope model", [str(part.attributes.get("rope")) for part in parts])
-    _require_equal("engine", [part.engine for part in parts])
+    ropes, engines = [str(part.attributes.get("rope")) for part in parts], [p.engine for p in parts]
+    for what, kinds in (("rope model", ropes), ("engine", engines)):
+        if others := [one for one in kinds if one != kinds[0]]:
+            raise InvalidFile(
+                f"states to merge must have one {what}, got {kinds[0]} and {others[0]}"
+            )
     names = dict.fromkeys(name for part in parts for name in part.table)
     schema = STATES.only(*names)
     tables = [_widened(part.table, schema, number) for number, part in enumerate(parts, 1)]
@@ -368,16 +359,10 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
             f"{len(twice)} states occur twice, first in rows {twice[0][0]} and {twice[0][1]} of the"
             " merged file; merge sets that share no state"
         )
-    configs = [config for part in parts for config in _configs(part)]
+    found = [part.attributes.get("config", {}) for part in parts]
+    configs = [config for one in found for config in (one if isinstance(one, list) else [one])]
     config = configs if len(configs) > 1 else configs[0]
     return States(merged, {**parts[0].attributes, "config": config})
-
-
-def _require_equal(what: str, found: Sequence[str]) -> None:
-    """Refuse to merge states that differ in something."""
-    others = [one for one in found if one != found[0]]
-    if others:
-        raise InvalidFile(f"states to merge must have one {what}, got {found[0]} and {others[0]}")
 
 
 def _widened(table: Table, schema: Schema, number: int) -> Table:
@@ -387,8 +372,3 @@ def _widened(table: Table, schema: Schema, number: int) -> Table:
         return Table(schema, {**table, **added}).filled(schema)
     except InvalidInput as error:
         raise InvalidFile(f"state file {number} can't be merged with the others: {error}") from None
-
-
-def _configs(part: States) -> list[Any]:
-    config = part.attributes.get("config", {})
-    return config if isinstance(config, list) else [config]

@@ -13,7 +13,7 @@ import pytest
 
 from knotgym.common import InvalidFile
 from knotgym.datasets import image_table as tables
-from knotgym.datasets.image_rows import PictureRow, _shard_faults, record
+from knotgym.datasets.image_rows import PictureRow, image_faults, record
 from knotgym.datasets.image_table import decode, encode, read_table
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
@@ -60,7 +60,7 @@ def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
 
 
 def test_a_sound_shard_has_no_fault(shard: Path) -> None:
-    assert _shard_faults(shard) == []
+    assert [*image_faults(shard)] == []
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_a_sound_shard_has_no_fault(shard: Path) -> None:
 def test_a_changed_cell_is_found(
     shard: Path, tmp_path: Path, place: tuple[Any, ...], told: str
 ) -> None:
-    found = _shard_faults(with_cell(shard, tmp_path, *place))
+    found = [*image_faults(with_cell(shard, tmp_path, *place))]
     assert any(told in fault for fault in found), found
 
 
@@ -116,6 +116,6 @@ def test_a_picture_that_would_fill_the_memory_is_refused() -> None:
 
 
 def test_an_origin_that_was_changed_is_found_by_the_checksum(shard: Path, tmp_path: Path) -> None:
-    assert _shard_faults(shard) == []
-    (fault,) = _shard_faults(with_cell(shard, tmp_path, "source", "rope", 99))
+    assert [*image_faults(shard)] == []
+    (fault,) = image_faults(with_cell(shard, tmp_path, "source", "rope", 99))
     assert fault.endswith("its rows were changed after writing (SHA-256 differs)")

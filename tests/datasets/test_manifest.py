@@ -11,7 +11,7 @@ import pytest
 
 from knotgym.common import InvalidFile, read_json
 from knotgym.control import dataset_faults
-from knotgym.datasets import ReplayFault
+from knotgym.datasets.episode_verification import ReplayFault
 from knotgym.datasets.manifest import listed_faults, machine, read_manifest
 
 SOUND: dict[str, Any] = {

@@ -128,6 +128,7 @@ def finish_states(
 def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
     found = {name: one.markdown() for name, one in _state_tables(states, report).items()}
+    lacking = ", ".join(code_span(code or "loop") for code in report.get("undemonstrated", []))
     return filled_template(
         "state_card.md",
         crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),
@@ -144,17 +145,11 @@ def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, 
         ),
         passed=sum(map(len, report.get("passed_over", {}).values())),
         demonstrations=report.get("demonstrations", 0),
-        lacking=_lacking(report),
+        lacking=lacking and f"The expert reached no goal of these codes: {lacking}.",
         **{name.replace(" ", "_"): text for name, text in found.items()},
         columns=states.table.schema.page(),
         config=json.dumps(config, indent=1, sort_keys=True),
     )
-
-
-def _lacking(report: Mapping[str, Any]) -> str:
-    """Say which codes have no demonstration."""
-    found = ", ".join(code_span(code or "loop") for code in report.get("undemonstrated", []))
-    return found and f"The expert reached no goal of these codes: {found}."
 
 
 def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object, ...]:

@@ -15,7 +15,7 @@ from rich.console import Console
 from knotgym.common import InvalidFile, InvalidInput, as_json, one_line
 from knotgym.generate.episodes.entries import read_entry, states_digests
 from knotgym.generate.episodes.results import Result, evaluation_in
-from knotgym.runs import Difference, difference_interval, narrow_table
+from knotgym.runs import Difference, narrow_table
 
 _VIEWS = {"task", "nx", "split", "states", "action", "observation", "frame"}
 _WIDTH = 15  # characters of a plot
@@ -82,9 +82,9 @@ def difference(one: Score, base: Score, paired: bool = True) -> tuple[Difference
     if paired and same:
         gained = np.subtract(sides[0][0][:n], sides[1][0][:n])
         clusters = [base.result.outcomes[side][:n] for side in ("start", "goal")]
-        return difference_interval((gained, clusters)), True
+        return Difference.between((gained, clusters)), True
     clustered = [(success, [own["start"], own["goal"]]) for success, own in sides]
-    return difference_interval(*clustered), False
+    return Difference.between(*clustered), False
 
 
 def compare(paths: Sequence[Path], console: Console) -> None:
