@@ -181,11 +181,11 @@ def compared(found: dict[str, dict[str, list[int]]]) -> list[str]:
         if len(parts) < 2 or not all(parts.values()):
             continue
         sides = [np.arange(PART * len(one)) < sum(one) for one in (parts[CHAIN], parts[MUJOCO])]
-        p, q = (float(side.mean()) for side in sides)
         _, low, high, _ = Difference.between(*((side, [np.arange(len(side))]) for side in sides))
         within += low <= 0 <= high
         interval = f"{100 * low:+.1f} to {100 * high:+.1f}"
-        rows.append(f"| {key} | {100 * p:.1f} ({len(sides[0])}) | {100 * q:.1f} ({len(sides[1])}) | {interval} |")
+        cells = (f"{100 * side.mean():.1f} ({len(side)})" for side in sides)
+        rows.append(f"| {key} | {' | '.join(cells)} | {interval} |")
     return [*rows, f"{within} of {len(rows)} hold 0"]
 
 
