@@ -1,17 +1,20 @@
 """Gauss codes against an independent labeller, on millions of ropes, with every doubt counted.
 
-    python benchmarks/labels.py --frames 1000000 --out labels.json
+    python benchmarks/labels.py --frames 10000000 --out labels.json
 
-Ropes come from random pulls in the chain engine, from curves drawn from codes, and from both of
-these made hard: flattened, scaled, dented onto another strand, with vertices that nearly coincide.
-Chunk k depends on (seed, k) alone. The file keeps what was counted, and a second run goes on there.
+Ropes come from random pulls in both engines, from the states of `bench` and from curves drawn from
+codes of 0 to 10 crossings. Each is seen as it is and from seven random sides; seven of the eight
+are then made hard: flattened, scaled, dented onto another strand, with vertices that nearly
+coincide or strands that are nearly as high. Chunk k depends on (seed, k) alone. The file keeps what
+was counted, and a second run goes on there.
 
-The labeller here shares no code with the package. Signs of orientations come from floating point
-where a bound on the rounding error allows it, and from rational numbers where it doesn't
-(Shewchuk, Adaptive Precision Floating-Point Arithmetic, 1997); so do the order of two crossings on
-one edge and the order of two heights. A rope is unclear where the package's float64 can't tell such
-an order either: two visits closer than MARGIN edges, or two heights closer than MARGIN of the
-largest height. Its labels may then differ.
+The labeller here shares no code with the package. It decides signs of orientations, the order of
+two crossings on one edge and the order of two heights in floating point where a bound on the
+rounding error allows it (`_certain`), and otherwise labels the whole rope in rational numbers
+(`_code`). The margin of such a rope is its smallest difference of two places or two heights, in
+units of the rounding error that the formulas have in float64. It is unclear up to 1: the package
+computes these two orders in float64, so its label may then differ. Whether strands cross is exact
+in both.
 """
 
 from __future__ import annotations
@@ -20,153 +23,251 @@ import argparse
 import json
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common import Failed
+from knotgym.drawing import drawn_curve
 from knotgym.generate import PhasedPulls
-from knotgym.rope import CHAIN, RopeConfig, simulation_of
+from knotgym.rope import CHAIN, MUJOCO, RopeConfig, simulation_of
 from knotgym.states import read_states, shipped
-from knotgym.topology import label_many
+from knotgym.topology import CodeArrays, label_many, uniform_code
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
-ROPES = 256  # a chunk
-MARGIN = 1e-9  # float64 computes both to 1e-13 or better
-_EPSILON = np.finfo(np.float64).eps
-_BOUND = (3 + 16 * _EPSILON) * _EPSILON / 2  # of an orientation, times the sum of its two products
-_WAYS = ("as they are", "flat", "small", "large", "dented", "doubled")
+WIDTH = 128  # crossings; the few ropes with more are labelled in rational numbers
+_HALF_ULP = 2.0**-53
+# Shewchuk's bound on the error of an orientation, for the sum of the sizes of its two products
+# (Adaptive Precision Floating-Point Arithmetic, 1997)
+_BOUND = (3 + 16 * _HALF_ULP) * _HALF_ULP
+_WAYS = ("as they are", "turned", "flat", "small", "large", "dented", "doubled", "level")
 
 
-def labels(points: Array) -> tuple[list[str], Array]:
-    """Label ropes.
+@njit
+def _turn(a: Array, b: Array, c: Array) -> tuple[float, float]:
+    """Return the orientation of three points in the plane, and a bound on its error."""
+    left, right = (a[0] - c[0]) * (b[1] - c[1]), (a[1] - c[1]) * (b[0] - c[0])
+    return left - right, _BOUND * (abs(left) + abs(right))
+
+
+@njit
+def _certain(p: Array, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> int:
+    """Label a rope in floating point; return its crossings, or -1 where an order isn't certain.
 
     Args:
-        points: float64 (ropes, beads, 3).
-
-    Returns:
-        The codes with chirality, and float64 (ropes,) with the smallest difference that decided an
-        order: of two visits, in edges, or of two heights, as a share of the largest.
+        p: float64 (beads, 3).
+        visits: int16 (2 WIDTH,), written: numbers of crossings, negative on the lower strand.
+        signs: int8 (WIDTH,), written: 1 where (over x under) points up, else -1.
     """
-    ropes, beads = points.shape[:2]
-    start = points
-    end = np.roll(points, -1, axis=1)
-    side = _sides(start, end)  # [r, i, j]: on which side of edge i bead j lies
-    after = np.roll(side, -1, axis=2)
-    apart = (side > 0) != (after > 0)  # edge j has its ends on both sides of edge i's line
-    hit = np.triu(apart & apart.transpose(0, 2, 1), 2)
-    hit[:, 0, beads - 1] = False  # these two share a bead
-    codes, margins = [""] * ropes, np.full(ropes, np.inf)
-    which, first, second = np.nonzero(hit)
-    for rope in np.unique(which):
-        own = which == rope
-        codes[rope], margins[rope] = _code(points[rope], first[own], second[own])
-    return codes, margins
+    n, hits = len(p), 0
+    # of strand s, one of hit s // 2: edge, fraction along it and its error, height and its error
+    strand, upward = np.empty((2 * WIDTH, 5)), np.empty(WIDTH, np.bool_)
+    for i in range(n):
+        a, b = p[i], p[(i + 1) % n]
+        for j in range(i + 2, n - (i == 0)):
+            c, d = p[j], p[(j + 1) % n]
+            if (
+                max(a[0], b[0]) < min(c[0], d[0]) or max(c[0], d[0]) < min(a[0], b[0])
+                or max(a[1], b[1]) < min(c[1], d[1]) or max(c[1], d[1]) < min(a[1], b[1])
+            ):  # fmt: skip
+                continue
+            of_c, of_d, of_a, of_b = _turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b)
+            for side, error in (of_c, of_d, of_a, of_b):
+                if abs(side) <= error:
+                    return -1
+            if of_c[0] * of_d[0] > 0 or of_a[0] * of_b[0] > 0:
+                continue
+            if hits == WIDTH:
+                return -1
+            upward[hits] = of_d[0] > 0
+            for side, edge, q, r, here, there in (
+                (0, i, a, b, of_a, of_b),
+                (1, j, c, d, of_c, of_d),
+            ):
+                # here and there have opposite signs, so their difference is as exact as they are
+                wide = abs(here[0]) + abs(there[0])
+                off = 2 * (here[1] + there[1]) / wide + 4 * _HALF_ULP
+                row, rise = strand[2 * hits + side], r[2] - q[2]
+                row[0], row[1], row[2] = edge, abs(here[0]) / wide, off
+                row[3] = q[2] + row[1] * rise
+                row[4] = off * abs(rise) + 4 * _HALF_ULP * (abs(q[2]) + abs(r[2]))
+            hits += 1
+    walk = np.argsort(strand[: 2 * hits, 0] + strand[: 2 * hits, 1])
+    numbers, count, before = np.zeros(hits, np.int64), 0, strand[walk[0]] if hits else strand[0]
+    for k in range(2 * hits):
+        one, other = strand[walk[k]], strand[walk[k] ^ 1]
+        if k and one[0] == before[0] and not one[1] - before[1] > one[2] + before[2]:
+            return -1
+        if one[0] < before[0] or abs(one[3] - other[3]) <= one[4] + other[4]:
+            return -1
+        before, hit, over = one, walk[k] // 2, one[3] > other[3]
+        if not numbers[hit]:
+            count += 1
+            numbers[hit] = count
+            # the edges' own order is (side 0, side 1); over first keeps the sign of their product
+            signs[count - 1] = 1 if upward[hit] == (over == (walk[k] % 2 == 0)) else -1
+        visits[k] = numbers[hit] if over else -numbers[hit]
+    return hits
 
 
-def _sides(start: Array, end: Array) -> NDArray[np.int8]:
-    """Return the signs of the orientations of all edges and beads: int8 (ropes, beads, beads)."""
-    a, b, c = start[:, :, None, :2], end[:, :, None, :2], start[:, None, :, :2]
-    left = (a[..., 0] - c[..., 0]) * (b[..., 1] - c[..., 1])
-    right = (a[..., 1] - c[..., 1]) * (b[..., 0] - c[..., 0])
-    sign = np.sign(left - right).astype(np.int8)
-    unsure = np.abs(left - right) <= _BOUND * (np.abs(left) + np.abs(right)) * 2
-    beads = start.shape[1]
-    at = np.arange(beads)
-    unsure[:, at, at] = unsure[:, at, (at + 1) % beads] = False  # its own ends: nothing to decide
-    for rope, i, j in zip(*np.nonzero(unsure), strict=True):
-        sign[rope, i, j] = _exact_side(*map(_exact, (start[rope, i], end[rope, i], start[rope, j])))
-    return sign
+@njit
+def _label_all(points: Array, visits: Array, signs: Array, counts: Integers) -> None:
+    for rope in range(len(points)):
+        counts[rope] = _certain(points[rope], visits[rope], signs[rope])
 
 
 Point = tuple[Fraction, Fraction, Fraction]
 
 
-def _exact(point: Array) -> Point:
-    x, y, z = map(Fraction, point.tolist())
-    return x, y, z
+def labels(points: Array) -> tuple[str, float]:
+    """Label a rope in rational numbers.
+
+    Args:
+        points: float64 (beads, 3).
+
+    Returns:
+        The code with chirality, and the margin, see the module; 0 where three beads are in line.
+    """
+    ends = points[:, None], np.roll(points, -1, axis=0)[:, None], points[None]
+    side, error = _turn.py_func(*(np.moveaxis(one, -1, 0) for one in ends))
+    n, sign, in_line = len(points), np.sign(side), False
+    error[np.arange(n), np.arange(n)] = error[np.arange(n), np.arange(1, n + 1) % n] = -1.0
+    beads = [(Fraction(x), Fraction(y), Fraction(z)) for x, y, z in points.tolist()]
+    for i, j in np.argwhere(np.abs(side) <= error).tolist():
+        turn = _turn.py_func(beads[i], beads[(i + 1) % n], beads[j])[0]
+        sign[i, j] = (turn > 0) - (turn < 0)
+        in_line |= not turn
+    apart = (sign > 0) != (np.roll(sign, -1, axis=1) > 0)  # edge j has its ends on both sides of i
+    hit = np.triu(apart & apart.T, 2)
+    hit[0, n - 1] = False  # these two share a bead
+    code, margin = _code(beads, np.argwhere(hit).tolist())
+    return code, 0.0 if in_line else margin
 
 
-def _turn(a: Point, b: Point, c: Point) -> Fraction:
-    return (a[0] - c[0]) * (b[1] - c[1]) - (a[1] - c[1]) * (b[0] - c[0])
-
-
-def _exact_side(a: Point, b: Point, c: Point) -> int:
-    turn = _turn(a, b, c)
-    return (turn > 0) - (turn < 0)
-
-
-def _code(points: Array, first: NDArray[np.intp], second: NDArray[np.intp]) -> tuple[str, float]:
-    """Return the code of one rope whose edges `first` and `second` cross, and its margin."""
-    beads = [_exact(point) for point in points]
-    strands = []  # (edge, fraction along it, height, number of the crossing), two a crossing
+def _code(beads: list[Point], hits: list[list[int]]) -> tuple[str, float]:
+    """Return the code of one rope with pairs of edges that cross, and its margin."""
+    # edge, fraction along it, height, number of the crossing, errors of both; two a crossing
+    strands: list[tuple[int, Fraction, Fraction, int, float, float]] = []
     upward = []  # whether d_first x d_second points up
-    for number, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+    for number, (i, j) in enumerate(hits):
         a, b, c, d = beads[i], beads[(i + 1) % len(beads)], beads[j], beads[(j + 1) % len(beads)]
-        ends = (_turn(c, d, a), _turn(c, d, b)), (_turn(a, b, c), _turn(a, b, d))
-        for edge, p, q, (here, there) in ((i, a, b, ends[0]), (j, c, d, ends[1])):
-            fraction = here / (here - there)
-            strands.append((edge, fraction, p[2] + fraction * (q[2] - p[2]), number))
+        for edge, p, q, r, s in ((i, a, b, c, d), (j, c, d, a, b)):
+            (here, one), (there, other) = _turn.py_func(r, s, p), _turn.py_func(r, s, q)
+            fraction, rise = here / (here - there), q[2] - p[2]
+            off = 2 * (one + other) / abs(float(here - there)) + 4 * _HALF_ULP
+            off_z = off * abs(float(rise)) + 4 * _HALF_ULP * float(abs(p[2]) + abs(q[2]))
+            strands.append((edge, fraction, p[2] + fraction * rise, number, off, off_z))
         upward.append((b[0] - a[0]) * (d[1] - c[1]) > (b[1] - a[1]) * (d[0] - c[0]))
-    heights = [[strands[2 * n][2], strands[2 * n + 1][2]] for n in range(len(upward))]
     walk = sorted(range(len(strands)), key=lambda s: strands[s][:2])
-    tall = float(np.abs(points[:, 2]).max()) or 1.0
-    gaps = [abs(float(one - other)) / tall for one, other in heights]
-    for k, s in enumerate(walk):
-        edge, fraction = strands[s][:2]
-        next_edge, next_fraction = strands[walk[(k + 1) % len(walk)]][:2]
-        gaps.append(abs(float((next_edge - edge) % len(beads) + next_fraction - fraction)))
+    ordered = [strands[s] for s in walk]
+    margins = [
+        abs(float(one[2] - other[2])) / ((one[5] + other[5]) or 1.0)
+        for one, other in zip(strands[::2], strands[1::2], strict=True)
+    ]
+    for one, other in pairwise(ordered):
+        if one[0] == other[0]:
+            margins.append(float(other[1] - one[1]) / (one[4] + other[4]))
     numbers: dict[int, int] = {}
     words = []
-    for s in walk:
-        n = strands[s][3]
+    for k in walk:
+        n = strands[k][3]
         numbers.setdefault(n, len(numbers) + 1)
-        over = heights[n][s % 2] > heights[n][1 - s % 2]
-        first_is_over = heights[n][0] > heights[n][1]
+        over = strands[k][2] > strands[k ^ 1][2]
+        first_is_over = strands[2 * n][2] > strands[2 * n + 1][2]
         sign = "c" if upward[n] == first_is_over else "a"
         words.append(f"{numbers[n]}{'+' if over else '-'}{sign}")
-    return ",".join(words), min(gaps)
+    return ",".join(words), min(margins, default=np.inf)
+
+
+def compare(points: Array) -> tuple[NDArray[np.bool_], dict[int, tuple[str, float]]]:
+    """Label ropes here and by the package.
+
+    Args:
+        points: float64 (ropes, beads, 3).
+
+    Returns:
+        bool (ropes,), whether the label is certain and the package's equals it; and by row the code
+        and the margin of those labelled in rational numbers.
+    """
+    ropes = len(points)
+    visits, signs = np.zeros((ropes, 2 * WIDTH), np.int16), np.zeros((ropes, WIDTH), np.int8)
+    counts = np.empty(ropes, np.int64)
+    _label_all(points, visits, signs, counts)
+    ours = CodeArrays.read(points, WIDTH)
+    same = (counts == ours.crossings) & (ours.visits[:, : 2 * WIDTH] == visits).all(axis=1)
+    same &= (ours.signs[:, :WIDTH] == signs).all(axis=1)
+    return same, {row: labels(points[row]) for row in np.flatnonzero(counts < 0).tolist()}
 
 
 class Ropes:
-    """Ropes of the chain engine that random pulls tangle, and states that ship, made hard."""
+    """Ropes from play in both engines, states that ship and drawings, made hard.
+
+    Of 64 ropes, 57 are random play in the chain engine, half from coils and half from states, 4 are
+    states, 2 drawings, and 1 is random play in MuJoCo.
+    """
 
     def __init__(self) -> None:
-        self._simulation = simulation_of(ROPES, RopeConfig(), CHAIN)
-        self._start = self._simulation.rope.qpos(PhasedPulls.coil(self._simulation.rope))
-        self._drawn = read_states(shipped("bench"), images=False).points
+        rng, states = np.random.default_rng(0), read_states(shipped("bench"), images=False)
+        self._states = states
+        self._chain, self._mujoco = (
+            simulation_of(count, RopeConfig(), engine)
+            for count, engine in ((128, CHAIN), (8, MUJOCO))
+        )
+        self._coil = self._chain.rope.qpos(PhasedPulls.coil(self._chain.rope))
+        drawn: list[Array] = []
+        while len(drawn) < 44:  # four of each number of crossings
+            with suppress(Failed):  # too tight for the rope
+                drawn.append(drawn_curve(uniform_code(len(drawn) // 4, rng), rng))
+        self._drawn = np.array(drawn)
 
-    def chunk(self, rng: np.random.Generator, frames: int) -> tuple[str, Array]:
-        """Return the kind of a chunk and its ropes: float64 (frames, beads, 3)."""
-        kind = _WAYS[int(rng.integers(len(_WAYS)))]
-        found = [self._drawn[rng.integers(len(self._drawn), size=frames // 8)]]
-        self._simulation.lay(np.repeat(self._start[None], ROPES, axis=0))
-        while sum(map(len, found)) < frames:
-            self._simulation.act(rng.uniform(-1, 1, (ROPES, 6)).astype(np.float32))
-            found.append(self._simulation.points.copy())
-        points = np.concatenate(found)[:frames]
-        return kind, _harder(points, kind, rng)
+    def chunk(self, rng: np.random.Generator, frames: int) -> Iterator[tuple[str, Array]]:
+        """Yield each way of making ropes hard, with its ropes: float64 (frames / 8, beads, 3)."""
+        count = frames // len(_WAYS)
+        rows = rng.integers(len(self._states), size=count)
+        found = [self._states.points[rows[: count // 16]]]
+        found.append(self._drawn[rng.integers(len(self._drawn), size=count // 32)])
+        for ropes, part in ((self._mujoco, count // 64), (self._chain, count)):
+            ropes.lay(self._states.qpos[rng.integers(len(self._states), size=ropes.count)])
+            half = np.arange(ropes.count // 2)
+            ropes.lay(np.repeat(self._coil[None], len(half), axis=0), half)
+            until = min(count, sum(map(len, found)) + part)
+            while sum(map(len, found)) < until:
+                ropes.act(rng.uniform(-1, 1, (ropes.count, 6)).astype(np.float32))
+                found.append(ropes.points.copy())
+        points = np.concatenate(found)[:count]
+        for way in _WAYS:
+            turned = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+            yield way, harder(points if way == _WAYS[0] else points @ turned, way, rng)
 
 
-def _harder(points: Array, kind: str, rng: np.random.Generator) -> Array:
-    """Return ropes changed in one of `_WAYS`."""
+def harder(points: Array, way: str, rng: np.random.Generator) -> Array:
+    """Return ropes changed in one of `_WAYS`; mirror images among them."""
     rows, beads = np.arange(len(points)), points.shape[1]
     bead, other = rng.integers(beads, size=(2, len(points)))
+    tiny = 10.0 ** -rng.uniform(5, 15, (len(points), 1))  # metres, down to the rounding error
     points = points.copy()
-    if kind == "flat":
+    if way == "flat":
         points[..., 2] *= 1e-6
-    elif kind in ("small", "large"):
-        points *= 1e-6 if kind == "small" else 1e6
-    elif kind == "dented":  # a bead moves beside another strand, at a distance near rounding error
+    elif way in ("small", "large"):
+        points *= 1e-6 if way == "small" else 1e6
+    elif way == "dented":  # a bead moves beside another strand
         share = rng.random((len(points), 1))
         on = points[rows, other] * share + points[rows, (other + 1) % beads] * (1 - share)
-        points[rows, bead, :2] = on[:, :2] + rng.normal(size=(len(points), 2)) * 1e-15
-    elif kind == "doubled":  # nearer than 1e-15 m they are one vertex, see `same_spot`
-        points[rows, bead] = points[rows, (bead + 1) % beads] + rng.normal(
-            size=(len(points), 3)
-        ) * 10.0 ** -rng.integers(9, 13, (len(points), 1))
+        points[rows, bead, :2] = on[:, :2] + rng.normal(size=(len(points), 2)) * tiny
+    elif way == "doubled":  # nearer than 1e-15 m they are one vertex, see `same_spot`
+        near = rng.normal(size=(len(points), 3)) * np.maximum(tiny, 1e-13)
+        points[rows, bead] = points[rows, (bead + 1) % beads] + near
+    elif way == "level":  # strands on the same step are nearly as high
+        steps = 0.02 * np.round(points[..., 2] / 0.02)
+        points[..., 2] = steps + rng.normal(size=steps.shape) * tiny
     return points
 
 
@@ -174,45 +275,43 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--chunk", type=int, default=16_384)
+    parser.add_argument("--frames", type=int, default=10_000_000)
+    parser.add_argument("--chunk", type=int, default=16_384, help="a multiple of 8")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("labels.json"))
     args = parser.parse_args()
-    made = {"seed": args.seed, "chunk": args.chunk, "chunks": 0, "seconds": 0.0}
-    counts: Counter[str] = Counter()
-    doubts: list[list[object]] = []
+    sizes = {"seed": args.seed, "chunk": args.chunk}
+    told = {**sizes, "chunks": 0, "seconds": 0.0, "counts": {}, "doubts": []}
     if args.out.exists():
-        stored = json.loads(args.out.read_text())
-        if any(stored[name] != made[name] for name in ("seed", "chunk")):
+        told = json.loads(args.out.read_text())
+        if any(told[name] != value for name, value in sizes.items()):
             parser.error(f"{args.out} is of another seed or chunk; name another file")
-        made = {name: stored[name] for name in made}
-        counts.update(stored["counts"])
-        doubts = stored["doubts"]
-    ropes = Ropes()
-    while made["chunks"] * args.chunk < args.frames:
-        kind, points = ropes.chunk(np.random.default_rng([args.seed, made["chunks"]]), args.chunk)
-        began = time.process_time()
-        ours = label_many(points)
-        made["seconds"] += time.process_time() - began
-        for at in range(0, len(points), ROPES):
-            codes, margins = labels(points[at : at + ROPES])
-            for row, (code, margin) in enumerate(zip(codes, margins, strict=True), at):
-                same = ours[row].chiral == code
-                clear = margin > MARGIN
-                verdict = "equal" if same else "wrong" if clear else "differs, unclear"
-                counts[f"{kind}: {verdict}"] += 1
-                counts[f"{kind}: unclear"] += int(not clear)
-                if not same:
-                    doubts.append(
-                        [made["chunks"], row, kind, float(margin), code, ours[row].chiral]
-                    )
-        made["chunks"] += 1
-        args.out.write_text(json.dumps({**made, "counts": counts, "doubts": doubts}, indent=1))
+    counts, ropes, began = Counter(told["counts"]), Ropes(), time.process_time() - told["seconds"]
+    while told["chunks"] * args.chunk < args.frames:
+        rng = np.random.default_rng([args.seed, told["chunks"]])
+        for way, points in ropes.chunk(rng, args.chunk):
+            same, exact = compare(points)
+            ours = [code.chiral for code in label_many(points[[*exact]])]
+            for (row, (code, margin)), our in zip(exact.items(), ours, strict=True):
+                same[row] = code == our
+                if unclear := margin <= 1:
+                    told["doubts"].append([told["chunks"], way, row, margin, bool(same[row])])
+                counts[f"{way}: unclear"] += unclear
+                counts[f"{way}: unclear and different"] += unclear and not same[row]
+            wrong = ~same
+            wrong[[row for row, (_, margin) in exact.items() if margin <= 1]] = False
+            for row in np.flatnonzero(wrong).tolist():
+                told["doubts"].append([told["chunks"], way, row, "wrong", exact.get(row)])
+            counts[f"{way}: wrong"] += int(wrong.sum())
+            counts[f"{way}: labelled"] += len(points)
+            counts[f"{way}: in rational numbers"] += len(exact)
+        told["chunks"] += 1
+        told["counts"], told["seconds"] = counts, time.process_time() - began
+        args.out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     for name, count in sorted(counts.items()):
         print(f"{count:12,}  {name}")
-    frames = made["chunks"] * args.chunk
-    print(f"{frames:12,}  frames, {made['seconds'] / frames * 1e6:.1f} us a label")
+    frames = told["chunks"] * args.chunk
+    print(f"{frames:12,}  frames, {told['seconds'] / frames * 1e6:.0f} us each")
 
 
 if __name__ == "__main__":
