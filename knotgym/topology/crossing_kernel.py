@@ -43,7 +43,7 @@ ALL = np.iinfo(np.int64).max  # crossings
 # few, and the edge between would seem to cross the next but one. What is farther apart is labelled
 # exactly, however near.
 SAME = 2.0**-48
-# about speed alone; `python benchmarks/labels.py` measures it
+# about speed alone
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 _HALF_ULP = 2.0**-53  # rounding error of one operation, relative

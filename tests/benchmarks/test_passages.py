@@ -1,0 +1,69 @@
+"""`benchmarks/passages.py` sees strands that pass through each other, and nothing else."""
+
+import json
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from knotgym.drawing import drawn_curve
+from knotgym.topology import GaussCode
+
+from ..scripts import ROOT, run_script
+
+pytestmark = pytest.mark.thorough
+SCRIPT = ROOT / "benchmarks" / "passages.py"
+TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
+
+
+@pytest.fixture(scope="module")
+def passages() -> dict[str, Any]:
+    with mock.patch.object(sys, "path", [str(SCRIPT.parent), *sys.path]):
+        return runpy.run_path(str(SCRIPT))
+
+
+def test_crossings_that_are_switched_are_passages(passages: dict[str, Any]) -> None:
+    rope = drawn_curve(TREFOIL, np.random.default_rng(0))
+    heights = np.linspace(1.0, -1.0, 102)[:, None, None]  # even: none is 0
+    steps = rope * np.concatenate([np.ones((102, 1, 2)), heights], axis=2)
+    changes = passages["linking"](steps[:-1], steps[1:])
+    assert np.abs(changes - np.round(changes)).max() < 1e-9
+    assert abs(changes.sum()) == pytest.approx(6)  # two for each of three crossings
+
+
+def test_a_motion_of_the_whole_rope_is_none(passages: dict[str, Any]) -> None:
+    rope = drawn_curve(TREFOIL, np.random.default_rng(0))
+    angles = np.linspace(0, 2 * np.pi, 100)
+    steps = np.array(
+        [rope @ [[1, 0, 0], [0, np.cos(a), np.sin(a)], [0, -np.sin(a), np.cos(a)]] for a in angles]
+    )
+    assert np.abs(passages["linking"](steps[:-1], steps[1:])).max() < 1e-9
+    assert {tuple(passages["knot"](step)) for step in steps} == {tuple(passages["knot"](rope))}
+
+
+@pytest.mark.parametrize(("text", "values"), [("", (1, 1, 1)), (TREFOIL.chiral, (3, 3, 7))])
+def test_knots_are_told_by_their_polynomial(
+    passages: dict[str, Any], text: str, values: tuple[int, ...]
+) -> None:
+    prime = passages["PRIME"]
+    rope = drawn_curve(GaussCode.parse(text), np.random.default_rng(0))
+    # t^2 - t + 1 at t and 1/t, of which the latter is t^-2 of the former
+    expected = [
+        value**2 * pow(t, -2 if text else 0, prime) % prime
+        for value, t in zip(values, (1, 2, 3), strict=True)
+    ]
+    assert passages["knot"](rope) == expected
+
+
+def test_play_is_looked_at_and_goes_on(tmp_path: Path) -> None:
+    for slices in (1, 13):
+        words = ("--ropes", 8, "--length", 2, "--actions", 16 * slices, "--out", tmp_path / "out")
+        run_script(SCRIPT, *words)
+        played = [json.loads(line) for line in (tmp_path / "out").read_text().splitlines()]
+        assert len(played) == slices
+        assert not any(one.get("passages") or one["other knots"] for one in played)
+    assert [played[k]["strength"] for k in (0, 6, 12)] == [1, 10, 1] and played[12]["shortest"]
