@@ -11,7 +11,7 @@ both show the same Gauss code. `sequences`: how often the pulls of the expert's 
 end in the same code on either engine. `policy`: success of random actions in the nine set-ups of
 both state sets, test split, with the same starts and goals on either engine, and Newcombe's 95 %
 interval of the difference on these states. Parts that --out holds are not played again.
-`long_play.py` is about safety.
+`passages.py` is about safety.
 """
 
 import argparse

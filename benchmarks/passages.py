@@ -1,12 +1,15 @@
-"""Whether a strand ever passes through another, seen from outside the engines.
+"""Whether a strand ever passes through another in hard play, seen from outside the engines.
 
     python benchmarks/passages.py --actions 10000000 --out passages.jsonl
     python benchmarks/passages.py --engine mujoco --ropes 8 --actions 10000 --out mujoco.jsonl
 
-Ropes start as coils, as states of `bench` and as two knots, and are played as in `long_play.py`. In
-the chain, every other six slices pull with ten times the largest force, and every other twelve take
-all of an action in the schedule's shortest substeps. (MuJoCo blows up at such forces.) A line of
---out is a slice; a second run goes on there.
+Ropes start as coils, as states of `bench` and as two knots. Slices take these ways of playing in
+turn: "random" actions; "one bead", full force on one bead in one direction; "neighbours", two beads
+side by side pulled apart in turn; "through", a bead at a crossing pulled at the strand that it
+crosses; "tow", the same action; "across", a bead pulled towards the one halfway round. A bead and a
+direction are kept for 20 actions. In the chain, every other six slices pull with ten times the
+largest force, at which MuJoCo blows up, and every other twelve take all of an action in the
+schedule's shortest substeps. A line of --out is a slice; a second run goes on there.
 
 Nothing here asks the engine or `knotgym.topology`. Imagine a thread that is fixed to the rope along
 one side and carried along without turning about it. Its linking number with the rope changes by 2
@@ -25,11 +28,11 @@ import argparse
 import json
 import time
 from collections import Counter
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from long_play import WAYS
 from numba import njit
 from numpy.typing import NDArray
 
@@ -39,8 +42,11 @@ from knotgym.rope import CHAIN, ENGINES, Array, ChainSimulation, Simulation, sim
 from knotgym.states import read_states, shipped
 from knotgym.topology import GaussCode
 
+Integers = NDArray[np.int64]
+
 PRIME = 2**31 - 1
-COUNTED = "actions", "passages", "looked at again", "other knots", "blew up"
+HOLD = 20  # actions with the same bead and direction
+WAYS = ("random", "one bead", "neighbours", "through", "tow", "across")
 KNOTS = ("1+,2-,3+,1-,2+,3-", "1-,2+,3-,1+,4-,3+,2-,4+")
 
 
@@ -163,7 +169,7 @@ def _power(base: int, exponent: int) -> int:
 
 
 @njit
-def _determinant(rows: NDArray[np.int64]) -> int:
+def _determinant(rows: Integers) -> int:
     found = 1
     for k in range(len(rows)):
         pivot = k
@@ -188,6 +194,48 @@ def knot(points: Array) -> list[int]:
     return [alexander(points, at) for at in (PRIME - 1, 2, 3)]
 
 
+@njit
+def at_crossings(points: Array, chance: Array, beads: Integers, others: Integers) -> None:
+    """Write for each rope that crosses itself a bead at a crossing and the one across it."""
+    for rope in range(len(points)):
+        found = _crossings(points[rope])
+        if found:
+            over, under, _ = found[int(chance[rope, 0] * len(found))]
+            if chance[rope, 1] < 0.5:
+                over, under = under, over
+            beads[rope], others[rope] = int(over), int(under)
+
+
+def pulls(ropes: Simulation, way: str, step: int, number: int) -> tuple[Integers, Array]:
+    """Return the beads and forces, newtons, of an action of slice `number`, see `WAYS`."""
+    rng, held = (np.random.default_rng([number, *at]) for at in ((1, step), (2, step // HOLD)))
+    count, total, rows = ropes.count, ropes.rope.config.beads, np.arange(ropes.count)
+    beads, forces = ropes.read_actions(rng.uniform(-1, 1, (count, 6)))
+    others = (beads + 1) % total
+    if way == "tow":
+        return ropes.read_actions(held.choice([-1.0, 1.0], (count, 6)))
+    if way in ("one bead", "neighbours", "across"):
+        beads, forces = held.integers(total, size=count), held.normal(size=(count, 3))
+        others = (beads + total // 2) % total
+    if way == "neighbours":
+        beads, forces = (beads + step % 2) % total, (1 - step % 2 * 2) * forces
+    if way == "through":
+        at_crossings(ropes.points, rng.random((count, 2)), beads, others)
+    if way in ("through", "across"):
+        forces = ropes.points[rows, others] - ropes.points[rows, beads]
+    if way != "random":
+        forces = forces * ropes.max_force / np.linalg.norm(forces, axis=1, keepdims=True)
+    return beads, forces
+
+
+def gaps(ropes: Simulation) -> Array:
+    """Return the widest gap of each rope, in the chain its largest error of an edge, metres."""
+    if not isinstance(ropes, ChainSimulation):
+        return ropes.rope.points_and_gaps(ropes.qpos())[1]
+    edges = np.linalg.norm(np.roll(ropes.points, -1, axis=1) - ropes.points, axis=2)
+    return np.asarray(np.abs(edges - ropes.rope.config.bead_length).max(axis=1))
+
+
 def starts(ropes: Simulation) -> Array:
     """Return qpos: a quarter each coiled, of `bench`, and of two knots."""
     rng, curves = np.random.default_rng(0), [PhasedPulls.coil(ropes.rope)]
@@ -198,7 +246,7 @@ def starts(ropes: Simulation) -> Array:
     return np.concatenate([found[: ropes.count // 4 * 3], bench[rows]])
 
 
-def substeps(ropes: ChainSimulation, state: Array, bead: Array, force: Array) -> Array:
+def substeps(ropes: ChainSimulation, state: Array, bead: Integers, force: Array) -> Array:
     """Carry out an action of one rope again; return its points before and after each substep."""
     one = ChainSimulation(1, ropes.rope)
     one.restore(state)
@@ -212,30 +260,34 @@ def substeps(ropes: ChainSimulation, state: Array, bead: Array, force: Array) ->
 
 def play(engine: str, number: int, count: int, length: int) -> dict[str, Any]:
     """Play slice `number`: `count` ropes for `length` actions each."""
-    ropes, rng = simulation(engine, count), np.random.default_rng(number)
-    way, strength, fine = [*WAYS][number % 6], 1, False
+    ropes, counts, began = simulation(engine, count), Counter[str](), time.process_time()
+    way, strength, fine, widest = WAYS[number % len(WAYS)], 1, False, 0.0
     if isinstance(ropes, ChainSimulation):
         strength, fine = (1, 10)[number // 6 % 2], bool(number // 12 % 2)
         ropes.schedule = (1,) * sum(ropes.schedule) if fine else ropes.schedule
     ropes.lay(starts(ropes))
-    knots, counts, began = [*map(knot, ropes.points)], Counter[str](), time.process_time()
+    knots = [*map(knot, ropes.points)]
     for step in range(length):
         states, before = ropes.states(), ropes.points.copy()
-        beads, forces = WAYS[way](ropes, rng, step)
+        beads, forces = pulls(ropes, way, step, number)
         forces = strength * forces
         counts["blew up"] += int((~ropes.step(beads, forces)).sum())
-        for k in np.flatnonzero(np.abs(linking(before, ropes.points)) > 0.5).tolist():
+        counts["held back"] += int((ropes.applied_shares < 1).sum())
+        counts["not finite"] += int((~np.isfinite(ropes.points).all(axis=(1, 2))).sum())
+        widest = max(widest, 1000 * float(gaps(ropes).max()))
+        for k in np.flatnonzero(~(np.abs(linking(before, ropes.points)) < 0.5)).tolist():
             changed = True
             if isinstance(ropes, ChainSimulation):
                 points = substeps(ropes, states[[k]], beads[[k]], forces[[k]])
                 assert np.array_equal(points[-1], ropes.points[k]), "an action has two ends"
-                changed = bool((np.abs(linking(points[:-1], points[1:])) > 0.5).any())
+                changed = not (np.abs(linking(points[:-1], points[1:])) < 0.5).all()
             counts["passages"] += changed
             counts["looked at again"] += 1
     after = [*map(knot, ropes.points)]
     counts["other knots"] = sum(a != b for a, b in zip(knots, after, strict=True))
-    told = {"number": number, "way": way, "strength": strength, "shortest": fine, **counts}
-    return {**told, "actions": count * length, "seconds": round(time.process_time() - began, 1)}
+    counts["actions"] = count * length
+    told = {"number": number, "way": way, "strength": strength, "shortest": fine, "gap": widest}
+    return {**told, "seconds": round(time.process_time() - began, 1), "counts": counts}
 
 
 def main() -> None:
@@ -250,16 +302,16 @@ def main() -> None:
     given = parser.parse_args()
     given.out.touch()
     slices = [json.loads(line) for line in given.out.read_text().splitlines()]
-    while sum(one["actions"] for one in slices) < given.actions:
+    while sum(one["counts"]["actions"] for one in slices) < given.actions:
         slices.append(play(given.engine, len(slices), given.ropes, given.length))
         with given.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(slices[-1]) + "\n")
-    for strength in (1, 10):
-        counts = Counter[str]()
-        for one in slices:
-            if one["strength"] == strength:
-                counts.update({name: one.get(name, 0) for name in COUNTED})
-        print(f"{given.engine}, {strength} x the largest force: {dict(counts)}")
+    for strength, way in product((1, 10), WAYS):
+        own = [one for one in slices if (one["strength"], one["way"]) == (strength, way)]
+        counts = sum((Counter(one["counts"]) for one in own), Counter[str]())
+        if own:
+            gap = max(one["gap"] for one in own)
+            print(f"{strength} x the force, {way}: {dict(counts)}, gaps up to {gap:.2g} mm")
 
 
 if __name__ == "__main__":

@@ -60,17 +60,6 @@ def test_golden_runs_make_the_arrays_that_they_made(capsys: pytest.CaptureFixtur
     assert ended.value.code == 0, capsys.readouterr().out
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "chain"])
-def test_hard_play_is_looked_at_and_goes_on_after_what_is_done(engine: str, tmp_path: Path) -> None:
-    words = ("--engine", engine, "--ropes", 2, "--length", 1, "--actions")
-    played = [figures("long_play", tmp_path, *words, count) for count in (6, 12)]
-    assert [one["way"] for one in played[1]["slices"]] == [
-        *("random", "one bead", "neighbours", "through", "tow", "across")
-    ]
-    assert played[1]["slices"][:3] == played[0]["slices"]
-    assert not any(one["breaks"] for one in played[1]["slices"])
-
-
 @pytest.mark.slow
 def test_the_page_of_the_benchmark_is_made_from_its_entries() -> None:
     pytest.importorskip("scipy")

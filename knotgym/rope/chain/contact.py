@@ -23,7 +23,7 @@ matters to a lane's result: those that aren't are too far apart to matter.
 
 After a change run `pytest -m 'thorough or not thorough' tests/rope/chain`: forces must be those
 of a plain Gauss-Seidel, and no pair end a substep below the floor; then `python
-benchmarks/long_play.py --engine chain`: no change of knot type.
+benchmarks/passages.py`: no strand passes another.
 """
 
 from typing import Any

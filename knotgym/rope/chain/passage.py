@@ -9,8 +9,8 @@ polyline was moved by an isotopy, and the knot is the same. (Neighbours share a 
 only meet by folding flat onto each other, which a motion misses.)
 
 After a change run `pytest -m thorough tests/rope/chain/test_contact_twins.py`: what is accepted
-must be proved for every pair of edges; then `python benchmarks/long_play.py --engine chain`: each
-change of code is certified, and no knot changes.
+must be proved for every pair of edges; then `python benchmarks/passages.py`: no passage,
+and no knot changes.
 """
 
 import math
