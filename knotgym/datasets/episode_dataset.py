@@ -7,7 +7,8 @@
 
 An episode file holds the tables of `episodes`, in one of two forms, and these attributes:
 
-    form        "columns" or "recording"
+    form        "columns" or "recording", whose `start_qpos` is zeros where the seed draws it, and
+                whose forces are whole numbers where all are `quantized`
     task        settings of the environment
     rope        fingerprint of the rope model
     versions    package -> version that wrote the file
@@ -55,15 +56,20 @@ from knotgym.datasets.episodes import (
     PULLS,
     RECORDED,
     STEPS,
+    STORED_PULLS,
     Episodes,
     fitted,
 )
 from knotgym.envs import TaskConfig
+from knotgym.rope import FORCE_BINS, quantized
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 
 FORMAT, VERSION = "knotgym-episodes", 2
-FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, PULLS)}
+FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, STORED_PULLS)}
 FILE = "episodes.h5"
+# the force of each whole number, at the place of its byte
+_FORCES = quantized(np.arange(256).astype(np.int8) / FORCE_BINS).astype(np.float32)
+_DRAWN = 1024  # starts that are drawn together
 MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
 _KEPT_FACTS = ("metadata", "run", "selection", STATES_DIGEST)
@@ -223,7 +229,8 @@ def open_episodes(source: Any) -> EpisodeDataset:
             f"{path} has {steps.rows} rows of steps, and its {rows.rows} episodes have"
             f" {int(lengths.sum()) + rows.rows}"
         )
-    return _chosen(EpisodeDataset(path, Episodes(rows, steps), task, attributes), source)
+    opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
+    return _chosen(_unpacked(opened) if attributes["form"] == "recording" else opened, source)
 
 
 def _chosen(opened: EpisodeDataset, source: Any) -> EpisodeDataset:
@@ -319,8 +326,82 @@ def write_episodes(
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
         **digests_of(same),
     }
+    if parts[0].is_recording:
+        # beside its states, by which the starts that follow from seeds are found
+        same, pack = _packed(same, EpisodeDataset(Path(path), same[0], task, attributes)), True
     tables = zip(*same, strict=True)
     write_tables(path, tables, attributes, format=FORMAT, version=VERSION, pack=pack)
+
+
+def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
+    """Leave out the starts that seeds draw; store forces as whole numbers if all are `quantized`.
+
+    A start takes 3 kB, and forces most of the bytes of the steps.
+    """
+    seeds = np.concatenate([part.episodes["seed"] for part in parts])
+    try:
+        drawn = _starts(place.found_task, seeds)
+    except KnotgymError:  # the states aren't here, so that all starts stay
+        drawn = np.full((len(seeds), 1), np.nan)
+    ends = np.cumsum([part.episodes.rows for part in parts])
+    rows = list[Table]()
+    for part, same in zip(parts, np.split(drawn, ends[:-1]), strict=True):
+        starts = part.episodes["start_qpos"].copy()
+        starts[(starts.view(np.int64) == same.view(np.int64)).all(axis=1)] = 0
+        rows.append(part.episodes.replaced(start_qpos=starts))
+    with np.errstate(invalid="ignore"):  # of forces out of range, which no whole number gives
+        bins = [np.rint(part.steps["force"] * FORCE_BINS).astype(np.int8) for part in parts]
+    whole = all(
+        np.array_equal(
+            _FORCES[one.view(np.uint8)].view(np.int32), part.steps["force"].view(np.int32)
+        )
+        for one, part in zip(bins, parts, strict=True)
+    )
+    steps = [part.steps for part in parts]
+    if whole:
+        names = [name for name in steps[0] if name != "force"]
+        schema = STORED_PULLS.only(*names, "force_bins")
+        steps = [
+            Table(schema, {**one, "force_bins": own}) for one, own in zip(steps, bins, strict=True)
+        ]
+    return [Episodes(*both) for both in zip(rows, steps, strict=True)]
+
+
+def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
+    """Return a recording with all starts and forces.
+
+    Raises:
+        MissingFile: starts must be drawn, and the states aren't here.
+        InvalidFile: it has no forces, or starts of another rope.
+    """
+    own, steps = stored.episodes
+    lacking = np.flatnonzero(~own["start_qpos"].any(axis=1))
+    if len(lacking):
+        starts = own["start_qpos"].copy()
+        drawn = _starts(stored.found_task, own["seed"][lacking])
+        if drawn.shape[1] != starts.shape[1]:
+            raise InvalidFile(f"{stored.path} has starts of another rope than its task")
+        starts[lacking] = drawn
+        own = own.replaced(start_qpos=starts)
+    columns = {**steps}
+    if "force_bins" in columns:
+        columns["force"] = _FORCES[columns.pop("force_bins").view(np.uint8)]
+    if "force" not in columns:
+        raise InvalidFile(f"{stored.path} has no forces")
+    return replace(stored, episodes=Episodes(own, Table(PULLS.only(*columns), columns)))
+
+
+def _starts(task: TaskConfig, seeds: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Draw starts again, float64 (n, nq); zeros where no seed is known."""
+    from knotgym.envs import EpisodeBatch  # the engines, which few readers need
+
+    batch = EpisodeBatch(task)
+    starts = np.zeros((len(seeds), batch.start_qpos.shape[1]))
+    known = np.flatnonzero(seeds >= 0)
+    for first in range(0, len(known), _DRAWN):
+        some = known[first : first + _DRAWN]
+        starts[some] = batch.drawn(seeds[some].tolist())["start_qpos"]
+    return starts
 
 
 def digests_of(parts: Sequence[Episodes]) -> dict[str, str]:

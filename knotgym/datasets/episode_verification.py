@@ -359,18 +359,17 @@ def _start_faults(dataset: EpisodeDataset) -> Iterator[str]:
         return
     # a collection may keep successes alone: then its seeds are some of these
     of_run = [Stream.EPISODE.derived_seed(seed, number) for number in range(count)]
-    task = dataset.found_task
+    batch = EpisodeBatch(dataset.found_task)
     for first in range(0, rows.rows, _BLOCK):
         some = np.arange(first, min(first + _BLOCK, rows.rows))
         own = rows.take(some)
         # begun again as the run began them, which draws start, goal and noise from the seed
-        batch = EpisodeBatch(task, len(some))
-        batch.begin(np.arange(len(some)), own["seed"].clip(0).tolist())
-        off = np.abs(batch.start_qpos - own["start_qpos"]).max(axis=1)
+        drawn = batch.drawn(own["seed"].clip(0).tolist())
+        off = np.abs(drawn["start_qpos"] - own["start_qpos"]).max(axis=1)
         wrong = {
             "its seed is none of the run's": ~np.isin(own["seed"], of_run),
-            "its seed draws another start": batch.start_row != own["start"],
-            "its seed draws another goal": batch.goal_row != own["goal"],
+            "its seed draws another start": drawn["start"] != own["start"],
+            "its seed draws another goal": drawn["goal"] != own["goal"],
             "its seed draws another noise of the start": off > _ROUNDING,
         }
         for row, found in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):

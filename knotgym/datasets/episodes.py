@@ -83,6 +83,11 @@ STARTS = Schema("episodes", _STARTS, "where an episode begins")
 RECORDED = Schema("episodes", (*_STARTS, *_PLAYED), "an episode")
 EPISODES = Schema("episodes", (*_STARTS, *_PLAYED, *_GOALS), "an episode")
 PULLS = Schema("steps", _PULLS, "a state and the pull made in it")
+# as files of recordings have them: forces in one of two columns
+_BINS = _of("pull", Column("force_bins", "int8", (3,), "max_force / 127", "the same force", True))
+STORED_PULLS = PULLS._replace(
+    columns=tuple(c._replace(optional=c.name != "bead") for c in _PULLS) + _BINS
+)
 STEPS = Schema("steps", (*_PULLS, *_FRAMES), "a state, the pull made in it, and what it brought")
 MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 

@@ -120,27 +120,36 @@ class EpisodeBatch:
     def begin(
         self, ids: Ids, seeds: Sequence[Seed], options: Mapping[str, Any] | None = None
     ) -> None:
-        """Begin episodes as `env.reset(seed=...)` does: sample starts and goals, lay the ropes.
+        """Begin episodes as `env.reset(seed=...)` does: draw starts and goals, lay the ropes.
+
+        Args:
+            ids: which ropes, in increasing order.
+            seeds, options: as of `drawn`, a seed for each of them.
+        """
+        if len(ids):
+            self.restore(ids, self.drawn(seeds, options))
+
+    def drawn(
+        self, seeds: Sequence[Seed], options: Mapping[str, Any] | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Draw starts and goals; return the columns of `restore` without laying a rope.
 
         Many at once take a fraction of the time of as many one by one, and start the same.
 
         Args:
-            ids: which ropes, in increasing order.
-            seeds: one for each of them: its draws come from `np.random.default_rng(seed)`, or from
-                a generator that is given.
+            seeds: the draws of each episode come from `np.random.default_rng(seed)`, or from a
+                generator that is given.
             options: `start` and `goal` choose rows of the state files.
 
         Raises:
             InvalidInput: an option is unknown, or a row doesn't belong to the task.
         """
-        if not len(ids):
-            return
         given = dict(options or {})
         own_start, own_goal = given.pop("start", None), given.pop("goal", None)
         if given:
             raise InvalidInput(f"no reset option {', '.join(map(repr, given))}; use start or goal")
         rngs = [np.random.default_rng(seed) for seed in seeds]
-        rows = np.empty((2, len(ids)), dtype=np.int64)
+        rows = np.empty((2, len(rngs)), dtype=np.int64)
         sides = self._sides
         if len(sides) > 1 and options:  # those that the given rows are of; if none, they're refused
             sides = [
@@ -174,7 +183,8 @@ class EpisodeBatch:
         known = [
             -1 if isinstance(seed, np.random.Generator) or seed >= 2**63 else seed for seed in seeds
         ]
-        self.restore(ids, {"seed": known, "start": starts, "goal": rows[1], "start_qpos": qpos})
+        columns = {"seed": np.array(known, dtype=np.int64), "start": starts, "goal": rows[1]}
+        return {**columns, "start_qpos": qpos}
 
     def restore(self, ids: Ids, rows: Mapping[str, ArrayLike]) -> None:
         """Begin episodes where others began.

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, episodes, written
 
-from knotgym.common import InvalidFile, InvalidInput, MissingFile, sha256
+from knotgym.common import InvalidFile, InvalidInput, MissingFile, Table, sha256
+from knotgym.datasets import RECORDED, Episodes
 from knotgym.datasets.episode_dataset import (
     columns_of,
     digests_of,
@@ -18,6 +19,8 @@ from knotgym.datasets.episode_dataset import (
     open_episodes,
     write_episodes,
 )
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import quantized
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +54,39 @@ def test_a_recording_is_read_as_one_and_has_the_same_digest(tmp_path: Path, file
     assert read.attributes["digest"] == open_episodes(file).attributes["digest"]
     with pytest.raises(InvalidInput, match="is a recording"):
         columns_of(tmp_path / "r.h5")
+
+
+def test_a_recording_stores_quantized_forces_in_a_byte_each_and_others_to_the_bit(
+    tmp_path: Path,
+) -> None:
+    made = episodes([3, 1]).recording()
+    force = quantized(made.steps["force"]).astype(np.float32)
+    whole = made._replace(steps=made.steps.replaced(force=force))
+    force = np.where(force == 0, np.float32(-0.0), force)
+    signed = made._replace(steps=made.steps.replaced(force=force))
+    for given, kept in ((made, "force"), (whole, "force_bins"), (signed, "force")):
+        path = written(tmp_path / "r.h5", given)
+        with h5py.File(path) as file:
+            assert {*file["steps"]} == {"bead", kept}
+        assert given.differences(open_episodes(path).episodes) == []
+    with h5py.File(written(path, whole), "r+") as file:
+        del file["steps/force_bins"]
+    with pytest.raises(InvalidFile, match="has no forces"):
+        open_episodes(path)
+
+
+def test_a_recording_leaves_out_the_starts_that_seeds_draw(tmp_path: Path) -> None:
+    task, seeds = TaskConfig(task="tie", engine="chain"), [3, 4, -1]
+    drawn = EpisodeBatch(task).drawn([3, 4, 5])
+    starts = drawn["start_qpos"].copy()
+    starts[1, 0] += 1e-3
+    own = {"seed": np.array(seeds), "start_qpos": starts}
+    rows = Table(RECORDED, {**episodes([1, 1, 1]).episodes, **own})
+    made = Episodes(rows, episodes([1, 1, 1]).recording().steps)
+    path = written(tmp_path / "r.h5", made, task)
+    with h5py.File(path) as file:
+        assert file["episodes/start_qpos"][()].any(axis=1).tolist() == [False, True, True]
+    assert made.differences(open_episodes(path).episodes) == []
 
 
 def test_a_pickled_dataset_keeps_its_selection_and_no_data(file: Path) -> None:

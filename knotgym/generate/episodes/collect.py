@@ -250,8 +250,9 @@ def _publish(
     Raises:
         InvalidInput: no episode is left to keep.
     """
-    every = Episodes.merged([part.recording() for part in parts]).episodes
-    total = _total(every, config.keep_failed)
+    total = Counter[str]()
+    for part in parts:
+        total.update(_total(part.episodes, config.keep_failed))
     if not total["kept"]:
         raise InvalidInput(
             f"none of {total['played']} episodes reached the goal and failed ones are dropped, so"

@@ -42,8 +42,8 @@ class CollectConfig:
         dataset_id: Minari id; "" for one made of the settings, such as knotgym/tie-nx3/expert-v0,
             with a mark for each setting that changes the data, as in expert-both-seed1-v0.
         form: files to write: columns, or minari for Minari's own beside them; by default these are
-            written for at most 100,000 pulls. Or recording: starts and pulls alone, a sixth of the
-            bytes or less; `knotgym dataset export --to compact` gets the columns by stepping.
+            written for at most 100,000 pulls. Or recording: starts and pulls alone, about 4 bytes a
+            step; `knotgym dataset export --to compact` gets the columns by stepping.
         author: author of the dataset; may be repeated.
         author_email: author's email; may be repeated.
         code_permalink: URL of the code that made it.
