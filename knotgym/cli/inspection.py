@@ -76,7 +76,7 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
         yield from (f"{root}: {fault}" for fault in entry.faults(progress))
         return
     with executor(0 if large else 1) as pool:
-        yield from dataset_faults(named, pool.map, progress.stage, sample)
+        yield from dataset_faults(named, pool.map, sample)
 
 
 def checked(named: str, sample: int = 0) -> str:

@@ -21,6 +21,8 @@ from .configurations import differences as differences
 from .configurations import from_json as from_json
 from .configurations import merged as merged
 from .configurations import read_json as read_json
+from .counts import Counts as Counts
+from .counts import Done as Done
 from .errors import Failed as Failed
 from .errors import InvalidFile as InvalidFile
 from .errors import InvalidInput as InvalidInput

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
+from knotgym.common import Counts, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown, code_sizes
 from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
@@ -198,6 +198,7 @@ def rollouts(
             planned += int(advice.planned[index]) if advice is not None else 0
             names = getattr(player, "names", None)
             record.end(index, policy.name if names is None else str(names[index]), planned)
+            Counts.end_item()
         # freed only now, so that the next episodes begin together
         batch.number[over] = -1
 

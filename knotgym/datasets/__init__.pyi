@@ -20,6 +20,7 @@ from .episodes import STARTS as STARTS
 from .episodes import STEPS as STEPS
 from .episodes import Episodes as Episodes
 from .episodes import Shown as Shown
+from .episodes import Statistics as Statistics
 from .episodes import code_sizes as code_sizes
 from .episodes import gauss_codes as gauss_codes
 from .episodes import ranges as ranges

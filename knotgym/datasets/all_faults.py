@@ -4,22 +4,14 @@ from collections.abc import Iterator
 from functools import partial
 from itertools import chain
 
-from knotgym.datasets.episode_verification import (
-    Count,
-    Replay,
-    ReplayFault,
-    uncounted,
-    verify_episodes,
-)
+from knotgym.datasets.episode_verification import Replay, ReplayFault, verify_episodes
 from knotgym.datasets.image_rows import Map, image_faults
 from knotgym.datasets.located import Located
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.states import read_states
 
 
-def faults(
-    found: Located, replay: Replay, each: Map = map, count: Count = uncounted, sample: int = 0
-) -> Iterator[str]:
+def faults(found: Located, replay: Replay, each: Map = map, sample: int = 0) -> Iterator[str]:
     """Yield the faults of datasets, each as soon as it is found.
 
     If only replays differ, a last line says that machines round differently.
@@ -28,17 +20,16 @@ def faults(
         found: what a path or an id names.
         replay: plays episodes again.
         each: `map` or a pool's, for files of pictures; results keep the order.
-        count: progress callback (stage, done, total).
         sample: how many drawn episodes of each dataset to play again; 0 for all.
     """
     if found.pictures:
-        own = image_faults(found.pictures, each, count)
+        own = image_faults(found.pictures, each)
     elif found.states and found.root.is_dir():
-        own = folder_faults(found.root, replay, count)
+        own = folder_faults(found.root, replay)
     elif found.states:
-        own = state_faults(read_states(found.states), count)
+        own = state_faults(read_states(found.states))
     else:
-        verified = partial(verify_episodes, replay=replay, count=count, sample=sample)
+        verified = partial(verify_episodes, replay=replay, sample=sample)
         own = chain.from_iterable(map(verified, found.episodes))
     kinds = set[type]()
     for fault in own:

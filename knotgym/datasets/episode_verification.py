@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
+from knotgym.common import Counts, InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, digests_of, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
@@ -25,11 +25,10 @@ from knotgym.rope import Array, Rope
 from knotgym.states import NEAR, States, distances, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
-Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.replay`
 # of the metadata: a word that nothing confirms, and that may be a stranger's
 _CLAIMED = ("author", "algorithm_name", "ref_min_score", "ref_max_score", "code_permalink")
-_BLOCK = 1024  # episodes played again between two reports of progress
+_BLOCK = 1024  # episodes played again at a time
 # metres, root mean square over the beads, after the best translation and rotation about z. Reset
 # noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
 _MATCH = NEAR / 2
@@ -42,11 +41,7 @@ class ReplayFault(str):
     """A fault found by playing again: a machine that rounds differently finds it, too."""
 
 
-def uncounted(stage: str, done: int, total: int) -> None:
-    """Report no progress."""
-
-
-def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) -> EpisodeDataset:
+def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
     """Return a dataset with all columns, made by playing its episodes again.
 
     The numbers of planned pulls can't be recomputed: the dataset's own stay.
@@ -59,7 +54,7 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     for fault in _digest_faults(dataset):
         raise InvalidFile(fault)
     for first in range(0, dataset.episodes.episodes.rows, _BLOCK):
-        count("episodes played again", first, dataset.episodes.episodes.rows)
+        Counts.tell("episodes played again", Counts.from_now(first), dataset.episodes.episodes.rows)
         some = dataset.episodes.select(
             np.arange(first, min(first + _BLOCK, dataset.episodes.episodes.rows))
         )
@@ -77,15 +72,12 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     return replace(dataset, episodes=whole)
 
 
-def verify_episodes(
-    source: Any, replay: Replay, *, count: Count = uncounted, sample: int = 0
-) -> Iterator[str]:
+def verify_episodes(source: Any, replay: Replay, *, sample: int = 0) -> Iterator[str]:
     """Verify a file of episodes or a Minari dataset; without other faults, its run's seeds, too.
 
     Args:
         source: what `open_episodes` takes.
         replay: plays the episodes again, to be compared.
-        count: progress callback.
         sample: how many drawn episodes to play again; 0 for all.
 
     Yields:
@@ -95,14 +87,14 @@ def verify_episodes(
         MissingFile: there is no such file.
     """
     clean = True
-    for fault in _episode_faults(source, replay, count, sample):
+    for fault in _episode_faults(source, replay, sample):
         clean = False
         yield fault
     if clean:
         yield from _start_faults(open_episodes(source).drawn(sample))
 
 
-def _episode_faults(source: Any, replay: Replay, count: Count, sample: int) -> Iterator[str]:
+def _episode_faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
     try:
         dataset = open_episodes(source)
     except MissingFile:
@@ -117,13 +109,13 @@ def _episode_faults(source: Any, replay: Replay, count: Count, sample: int) -> I
     yield from _duplicate_faults(dataset)
     dataset = dataset.drawn(sample)
     try:
-        columns = expanded(dataset, replay, count)
+        columns = expanded(dataset, replay)
         for fault in columns.episodes.differences(dataset.episodes, dataset.numbers):
             yield ReplayFault(f"{dataset.path}, {fault}, played again")
     except KnotgymError as error:
         yield ReplayFault(f"{dataset.path}: can't be played again: {one_line(error)}")
         return
-    for fault in _code_faults(columns, count):
+    for fault in _code_faults(columns):
         yield f"{dataset.path}, {fault}"
     if not dataset.episodes.is_recording and dataset.rows is None:
         yield from minari_faults(dataset)
@@ -200,7 +192,7 @@ def _digest_faults(dataset: EpisodeDataset) -> Iterator[str]:
             yield f"{dataset.path}: its {what} don't match their digest"
 
 
-def _code_faults(dataset: EpisodeDataset, count: Count) -> Iterator[str]:
+def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield where codes aren't those of the vertices, or goals not those that their codes say."""
     episodes = dataset.episodes
     own, steps, first = episodes.episodes, episodes.steps, episodes.offsets[:-1]
@@ -208,8 +200,8 @@ def _code_faults(dataset: EpisodeDataset, count: Count) -> Iterator[str]:
     chiral = gauss_codes(steps["visits"], steps["signs"])
     wanted, shown = gauss_codes(own["goal_visits"]), label_many(_float64(own["goal_points"]))
     begins = gauss_codes(steps["visits"][first])
-    for row, last in enumerate(episodes.last().tolist()):
-        count("codes read again", row, own.rows)
+    told = Counts.over(episodes.last().tolist(), "codes read again", own.rows)
+    for row, last in enumerate(told):
         if str(shown[row]) != wanted[row]:
             yield f"episode {numbers[row]}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
         second = pyknotid_code(_float64(steps["observation"][last])).chiral

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common import Counts
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import decode, read_table
@@ -92,7 +93,7 @@ def state_tiles(states: States) -> list[Tile]:
                 f"nx {states.nx[i]}  {states.split[i]}  row {i}",
             ),
         )
-        for i in order
+        for i in Counts.over(order, "drawing diagrams", len(order))
     ]
 
 

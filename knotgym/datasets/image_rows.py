@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, one_line
-from knotgym.datasets.episode_verification import Count, shared_faults, uncounted
+from knotgym.common import Counts, InvalidFile, KnotgymError, MissingFile, Stream, one_line
+from knotgym.datasets.episode_verification import shared_faults
 from knotgym.datasets.image_table import (
     COLUMNS,
     arrow,
@@ -108,13 +108,12 @@ def _redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
     return drawer.drawn(points, drawer.read(row))
 
 
-def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) -> Iterator[str]:
+def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
     """Yield the faults of a table: manifest and checksums, then rows and splits.
 
     Args:
         path: a folder made by `knotgym images`, or a single shard, whose rows alone are checked.
         each: `map` or a pool's, for shards; results keep the order.
-        count: progress callback (stage, done, total).
     """
     folder = Path(path)
     arrow()
@@ -122,10 +121,8 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
         manifest, faults = read_manifest(folder)
         yield from [*faults, *listed_faults(folder, manifest)]
     files = shards(path)
-    count("files of pictures", 0, len(files))
-    parts = list[Any]()
-    for done, (faults, part) in enumerate(each(_shard_faults, files), 1):
-        count("files of pictures", done, len(files))
+    parts, told = list[Any](), each(_shard_faults, files)
+    for faults, part in Counts.over(told, "files of pictures", len(files)):
         yield from faults
         parts += [] if part is None else [part]
     if len(parts) < len(files):  # a fault already

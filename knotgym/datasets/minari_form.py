@@ -20,6 +20,7 @@ import os
 import re
 import shutil
 import stat
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
@@ -35,6 +36,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common import (
+    Counts,
     InvalidFile,
     InvalidInput,
     as_json,
@@ -54,7 +56,7 @@ from knotgym.datasets.episode_dataset import (
     open_episodes,
     write_episodes,
 )
-from knotgym.datasets.episodes import STEPS, Episodes, gauss_codes
+from knotgym.datasets.episodes import STEPS, Episodes, Statistics, gauss_codes
 from knotgym.envs import TaskConfig
 from knotgym.rope import action_space
 from knotgym.states import CODE_SPLITS, minari_root
@@ -185,9 +187,21 @@ def write_minari(dataset: EpisodeDataset, data: Path) -> None:
         InvalidFile: the dataset has no metadata.
     """
     with new_hdf5(data / MAIN, libver=("v110", "v110"), meta_block_size=_METADATA_BYTES) as file:
-        for k, (attributes, arrays) in enumerate(_minari_episodes(dataset)):
-            _write_group(file, f"episode_{k}", attributes, arrays | _observations(dataset, k))
+        told = Counts.over(
+            _minari_episodes(dataset), "writing Minari's form", dataset.episodes.episodes.rows
+        )
+        found = defaultdict[str, Statistics](Statistics)
+        for k, (attributes, arrays) in enumerate(told):
+            arrays |= _observations(dataset, k)
+            _write_group(file, f"episode_{k}", attributes, arrays)
+            for name, values in arrays.items():
+                if name.startswith(("observations", "actions")) and values.dtype.kind == "f":
+                    found[name].add(values[: len(arrays["actions"])])
     entries = _minari_entries(dataset)
+    entries["statistics"] = {
+        name: {what: list(map(_written, values)) for what, values in own.found().items()}
+        for name, own in found.items()
+    }
     size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
     entries["dataset_size"] = round(size / 1e6, 1)
     text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
@@ -372,7 +386,8 @@ def _different(stored: h5py.File, right: h5py.File) -> Iterator[str]:
         file.visit(own.add)
     for name in sorted(names[0] ^ names[1]):
         yield f"{name} is {'missing' if name in names[1] else 'not written by knotgym'}"
-    for name in sorted(names[0] & names[1]):
+    both = sorted(names[0] & names[1])
+    for name in Counts.over(both, "comparing Minari's form", len(both)):
         one, other = stored[name], right[name]
         same = dict(one.attrs) == dict(other.attrs)
         if isinstance(other, h5py.Dataset):
@@ -440,6 +455,11 @@ def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
 
 _TEXT, _CONTIGUOUS = h5py.string_dtype("utf-8"), _properties()
 _GROUP = _properties(h5p.GROUP_CREATE)
+
+
+def _written(value: np.float32) -> float:
+    """Return a number that JSON writes with the digits that tell one float32 from another."""
+    return float(str(value))
 
 
 def _same_json(found: Any, expected: Any) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import (
+    Counts,
     InvalidFile,
     InvalidInput,
     KnotgymError,
@@ -21,11 +22,9 @@ from knotgym.common import (
 )
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import (
-    Count,
     Replay,
     ReplayFault,
     shared_faults,
-    uncounted,
     verify_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
@@ -49,7 +48,7 @@ _CONVERTED = 1e-9
 _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would exhaust the memory
 
 
-def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
+def state_faults(states: States) -> Iterator[str]:
     """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
     made_for, beads = states.attributes.get("rope"), states.points.shape[1]
     if beads not in BEADS or RopeConfig.of(beads).fingerprint != made_for:
@@ -72,9 +71,10 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         return
     for first in range(0, len(states), _BATCH):
         rows = range(first, min(first + _BATCH, len(states)))
-        ends = _replayed(states, rows, rope, count)
+        ends = _replayed(states, rows, rope)
         for row in rows:
-            count("states", row, len(states))
+            # replays count as half of the work
+            _tell_checked(states, rows.start, (len(rows) + row - rows.start) / 2)
             for fault in _row_faults(states, row, rope, ends.get(row)):
                 yield type(fault)(f"states.h5 row {row}: {fault}")
     ropes = list(map(tuple, states.source["seed"].tolist()))
@@ -86,7 +86,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
-def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Iterator[str]:
+def folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
@@ -99,9 +99,9 @@ def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Ite
     except (InvalidFile, MissingFile) as error:
         yield str(error)
         return
-    yield from state_faults(states, count)
+    yield from state_faults(states)
     for file in sorted(folder.glob(f"minari/**/{FILE}")):
-        own = [*verify_episodes(file, replay, count=count)]
+        own = [*verify_episodes(file, replay)]
         yield from own
         if not own:
             name = file.relative_to(folder / "minari").parents[1].as_posix()
@@ -239,7 +239,11 @@ def _actions_of(states: States, row: int) -> NDArray[np.float32]:
     return drawn_actions(seed, steps)
 
 
-def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> dict[int, Array]:
+def _tell_checked(states: States, first: int, more: float) -> None:
+    Counts.tell("states checked", first + int(more), len(states))
+
+
+def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Array]:
     """Replay rows; return the final qpos (nq,) of each that could be replayed."""
     actions = {}
     for row in rows:
@@ -254,7 +258,8 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     whole = np.ones(len(left), dtype=bool)
     lengths = np.array([len(actions[row]) for row in left])
     for step in range(int(lengths.max())):
-        count("steps replayed", int(np.minimum(lengths, step).sum()), int(lengths.sum()))
+        replayed = np.minimum(lengths, step).sum() / max(1, lengths.sum())
+        _tell_checked(states, rows[0], replayed * len(rows) / 2)
         ids = np.flatnonzero(whole & (step < lengths))
         if len(ids):
             whole[ids] = ropes.act([actions[left[k]][step] for k in ids], ids)

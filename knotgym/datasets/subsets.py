@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import (
+    Counts,
     InvalidInput,
     MissingExtra,
     Stream,
@@ -346,7 +347,8 @@ def _facts(dataset: EpisodeDataset) -> dict[str, object]:
 def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
     """Refuse two episodes with the same start, goal and pulls."""
     every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
-    for pair in repeated(digest for one in datasets for digest in one.episodes.digests()):
+    told = Counts.over(datasets, "comparing episodes of datasets", len(datasets))
+    for pair in repeated(digest for one in told for digest in one.episodes.digests()):
         first, second = (f"episode {every[k][1]} of {every[k][0].path}" for k in pair)
         raise InvalidInput(
             f"{first} and {second} are the same; merge datasets that share no episode"

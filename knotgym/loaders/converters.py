@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, MissingExtra, Stream, atomic_write, require_output
+from knotgym.datasets import Statistics
 from knotgym.loaders.data_stream import DataStream, Pictured, Played
 from knotgym.loaders.transitions import Opening, Transitions
 
@@ -68,6 +69,8 @@ def _drawn_generator(transitions: Transitions) -> np.random.Generator | None:
 def statistics(dataset: Any, **opening: Unpack[Opening]) -> dict[str, dict[str, NDArray[Any]]]:
     """Return what to normalize observations and actions by; give it the train split alone.
 
+    Minari's metadata hold the same of what Minari loads, unless that is pictures.
+
     Args:
         dataset, opening: see `knotgym.loaders`; observations are no pictures.
 
@@ -82,25 +85,14 @@ def statistics(dataset: Any, **opening: Unpack[Opening]) -> dict[str, dict[str, 
     goals, count = _drawn_generator(transitions), len(transitions)
     if not count:
         raise InvalidInput(f"{transitions.dataset.path} has no transitions to take statistics of")
-    found: dict[str, list[Any]] = {"observations": [], "actions": []}
+    found = {"observations": Statistics(), "actions": Statistics()}
     for first in range(0, count, _AT_ONCE):
         block = transitions.batch(np.arange(first, min(first + _AT_ONCE, count)), rng=goals)
-        for name, parts in found.items():
+        for name, own in found.items():
             if isinstance(block[name], dict) or block[name].dtype == np.uint8:
                 raise InvalidInput("pictures need no statistics: divide them by 255")
-            values = block[name].astype(np.float64)
-            parts.append([values.sum(0), (values**2).sum(0), values.min(0), values.max(0)])
-    return {name: _moments(parts, count) for name, parts in found.items()}
-
-
-def _moments(parts: list[Any], count: int) -> dict[str, NDArray[Any]]:
-    """Return the statistics of all blocks from the sums and bounds of each."""
-    total, squares, low, high = zip(*parts, strict=True)
-    mean = sum(total) / count
-    std = np.sqrt(np.maximum(sum(squares) / count - mean**2, 0))
-    std = np.where(std > 1e-6, std, 1)
-    both = {"mean": mean, "std": std, "min": np.min(low, axis=0), "max": np.max(high, axis=0)}
-    return {name: np.asarray(value, dtype=np.float32) for name, value in both.items()}
+            own.add(block[name])
+    return {name: own.found() for name, own in found.items()}
 
 
 def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:

@@ -1,7 +1,8 @@
 """Executors: this process, processes of this machine, or a Dask cluster; and what compiles first.
 
-Each is a `concurrent.futures.Executor` with an attribute `workers`. A call depends on its arguments
-alone, so the choice of executor doesn't change a byte of the output.
+Each is a `concurrent.futures.Executor` with an attribute `workers`; those of this machine also have
+`ended`, see `common.Counts`. A call depends on its arguments alone, so the choice of executor
+doesn't change a byte of the output.
 
 Workers of a cluster read the files of a run themselves, so they must see its folder under the same
 path: start them anywhere on one shared file system, with the same version of knotgym, and
@@ -23,7 +24,7 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
-from knotgym.common import Failed, InvalidInput, MissingExtra, Threads
+from knotgym.common import Counts, Failed, InvalidInput, MissingExtra, Threads
 from knotgym.rope import CHAIN, MUJOCO, is_compiled, simulation
 from knotgym.runs.identities import versions
 from knotgym.runs.progress import Progress
@@ -43,6 +44,7 @@ class InProcess(Executor):
     """Execute calls in this process, when they are submitted."""
 
     workers = 1
+    ended = Counts.ended
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
         future: Future[Any] = Future()
@@ -58,8 +60,9 @@ class _Processes(ProcessPoolExecutor):
     """Processes of this machine, which leave interrupts to this one and end with it."""
 
     def __init__(self, workers: int) -> None:
-        super().__init__(workers, mp_context=_context(), initializer=_serve)
-        self.workers = workers
+        context = _context()
+        self.workers, self.ended = workers, context.Value("q", 0)
+        super().__init__(workers, mp_context=context, initializer=_serve, initargs=(self.ended,))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
         with _uninterrupted(), _safe_path():  # this may start a process
@@ -161,9 +164,10 @@ def _safe_path() -> Iterator[None]:
             os.environ[_SAFE_PATH] = before
 
 
-def _serve() -> None:
+def _serve(ended: Any) -> None:
     import cv2
 
+    Counts.ended = ended
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()

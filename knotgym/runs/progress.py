@@ -16,6 +16,8 @@ from rich.progress import Progress as Bars
 from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from knotgym.common import Counts, Done
+
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 _NONE: Mapping[str, object] = {}
 _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
@@ -24,9 +26,10 @@ _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
 class Progress:
     """Shows the progress of a run; a context manager that removes the live line at its end.
 
-    If there is no terminal, plain lines are printed on standard error: with `lines` from the first
-    moment, else after ten seconds. Whatever takes longer than that is named every ten seconds, even
-    if nothing is done meanwhile. `clock` returns seconds.
+    While it is entered, it shows what `common.Counts` is told. If there is no terminal, plain lines
+    are printed on standard error: with `lines` from the first moment, else after ten seconds.
+    Whatever takes longer than that is named every ten seconds, even if nothing is done meanwhile.
+    `clock` returns seconds.
     """
 
     def __init__(
@@ -59,7 +62,10 @@ class Progress:
         self._bars.add_task("starting", total=None, facts="")
         self._task = self._bars.tasks[0]
         self._clock, self._began = clock, clock()
-        self._shown: float | None = None  # when a count was printed last
+        self._done: Callable[[], int] | None = None  # how many items of the stage are done by now
+        self._facts: Mapping[str, object] = _NONE
+        self._stage = threading.RLock()  # held while the stage is changed or read
+        self._counted = False  # whether a count was printed
         self._told = self._began  # when anything was printed last
         self._over, self._quiet, plain = threading.Event(), quiet, not quiet and not live
         self._lines, self._waits = plain and lines, plain and not lines
@@ -67,22 +73,36 @@ class Progress:
 
     def __enter__(self) -> Progress:
         self._bars.start()
-        if self._lines or self._waits:
+        Counts.listeners.append(self.stage)
+        if not self._quiet:
             threading.Thread(target=self._repeat, daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._bars.stop()
+        Counts.listeners.remove(self.stage)
 
     def _repeat(self) -> None:
-        """Print the stage whenever nothing was printed for ten seconds."""
-        while not self._over.wait(max(0.1, self._told + _LINE_EVERY - self._clock())):
-            if self._clock() - self._told >= _LINE_EVERY:
+        """Keep the live line true, or print the stage when nothing was printed for ten seconds."""
+        while not self._over.wait(min(_LIVE_EVERY, _LINE_EVERY)):
+            if not (self._lines or self._waits):
+                self._recount()
+            elif self._clock() - self._told >= _LINE_EVERY:
                 self._tell(self._line())
+
+    def _recount(self) -> None:
+        """Read how far the stage is by now."""
+        with self._stage:
+            if self._done is not None:
+                done = self._done()
+                words = [f"{done} of {self._task.total:.0f}"]
+                words += [f"{fact} {value}" for fact, value in self._facts.items()]
+                self._bars.update(self._task.id, completed=done, facts="; ".join(words))
 
     def _line(self) -> str:
         """Return the stage, how far it is, and the time left."""
+        self._recount()
         task, facts = self._task, self._task.fields["facts"]
         if not facts:
             return task.description
@@ -106,27 +126,31 @@ class Progress:
             self.say(line)
 
     def stage(
-        self, name: str, done: int = 0, total: int = 0, facts: Mapping[str, object] = _NONE
+        self, name: str, done: Done = 0, total: int = 0, facts: Mapping[str, object] = _NONE
     ) -> None:
         """Set the current stage and how far it is; plain lines show stages until the first count.
 
         Args:
             name: name of the stage.
-            done, total: how many items are done, and how many there are; all take about as long.
+            done, total: how many items are done, or what returns how many are done by now, and how
+                many there are; all take about as long.
             facts: other values to show, by name.
         """
-        if name != self._task.description:
-            if self._lines and self._shown is None:
-                self._tell(name)
-            self._bars.reset(self._task.id, description=name, facts="")
-        if not total:
-            return
-        words = [f"{done} of {total}", *(f"{fact} {value}" for fact, value in facts.items())]
-        shown, now = "; ".join(words), self._clock()
-        self._bars.update(self._task.id, completed=done, total=total, facts=shown)
-        due = self._shown is None or now - self._shown >= _LINE_EVERY or done == total
-        if due and (self._lines or (self._waits and now - self._began >= _LINE_EVERY)):
-            self._shown = now
+        with self._stage:
+            if name != self._task.description:
+                if self._lines and not self._counted:
+                    self._tell(name)
+                self._bars.reset(self._task.id, description=name, facts="")
+            self._done = (done if callable(done) else lambda: done) if total else None
+            self._facts = facts
+            if not total:
+                return
+            self._bars.update(self._task.id, total=total)
+            self._recount()
+            now, is_over = self._clock(), self._task.completed == total
+        is_due = now - self._told >= _LINE_EVERY
+        if (self._waits and is_due) or (self._lines and (is_due or is_over or not self._counted)):
+            self._counted = True
             self._tell(self._line())
 
 

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from knotgym.common import (
+    Counts,
     Failed,
     InvalidInput,
     Occupied,
@@ -69,7 +70,8 @@ class Call(NamedTuple):
 
 Recipe = Generator[Sequence[Call], list[Result], Output]
 Count = Callable[[Result], Mapping[str, int]]  # what progress adds up of a result
-OnProgress = Callable[[str, int, int, Result | None], None]  # stage, done, total, new result
+# stage, how many items are done by now, total, new result
+OnProgress = Callable[[str, Callable[[], int], int, Result | None], None]
 
 
 def compute(
@@ -299,18 +301,26 @@ def _complete(
 ) -> None:
     """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
     left, done, total = [], 0, sum(call.items for call in calls)
+    ended, kept, begun = Counts.from_now(pool=pool), 0, 0
+
+    def by_now() -> int:
+        # calls may count the items that they have ended, and a call that is finished counts as all
+        finished = done - kept
+        return done + max(0, min(begun, ended()) - finished)
+
     for call in calls:
         if call.key in memo:
-            done += call.items
-            show(_stage(call), done, total, memo[call.key])
+            done, kept = done + call.items, kept + call.items
+            show(_stage(call), by_now, total, memo[call.key])
         else:
             left.append(call)
     waiting, running = iter(left), dict[Future[Result], Call]()
     ahead = _AHEAD * int(getattr(pool, "workers", 4)) if not isinstance(pool, InProcess) else 1
     if left:
-        show(_stage(left[0]), done, total, None)
+        show(_stage(left[0]), by_now, total, None)
     while True:
         for call in islice(waiting, ahead - len(running)):
+            begun += call.items
             running[pool.submit(call.function, *call.arguments)] = call
         if not running:
             return
@@ -318,7 +328,7 @@ def _complete(
             call, result = running.pop(future), future.result()
             memo[call.key] = result
             done += call.items
-            show(_stage(call), done, total, result)
+            show(_stage(call), by_now, total, result)
 
 
 def _stage(call: Call) -> str:
@@ -334,7 +344,7 @@ def _shown_on(progress: Progress, count: Count | None) -> OnProgress:
     """Return what shows the progress of `compute`, with the sums of what `count` returns."""
     totals: Counter[str] = Counter()
 
-    def _show(stage: str, done: int, total: int, result: Result | None) -> None:
+    def _show(stage: str, done: Callable[[], int], total: int, result: Result | None) -> None:
         if count is not None and result is not None:
             totals.update(count(result))
         progress.stage(stage, done, total, totals)

@@ -25,6 +25,7 @@ from knotgym.datasets.minari_form import (
     minari_faults,
     publish,
 )
+from knotgym.loaders import statistics
 
 from ..minari_list import check_minari
 
@@ -65,6 +66,16 @@ def test_minari_does_with_it_all_that_it_does(
         assert one.infos["is_success"].tolist() == [False] * (last - first) + [True]
         assert one.infos["bead"].tolist() == [-1, *steps["bead"][first:last].tolist()]
     assert minari.get_normalized_score(loaded, np.array([0.0])) == 0.5
+
+
+def test_minaris_metadata_hold_what_to_normalize_by(
+    root: Path, loaded: minari.MinariDataset
+) -> None:
+    stored = loaded.storage.metadata["statistics"]
+    own = statistics(root / ID, observation="state")
+    for name, stored_as in (("observations", "observations/state"), ("actions", "actions")):
+        for what, values in own[name].items():
+            np.testing.assert_allclose(stored[stored_as][what], values, rtol=1e-5, atol=1e-7)
 
 
 def test_metadata_comes_back(root: Path) -> None:
@@ -139,6 +150,7 @@ def shift(name: str, one: h5py.Group) -> None:
     [
         (": total_steps isn't", entry("total_steps", 7)),
         (": author isn't", entry("author", ["M"])),
+        (": statistics isn't", entry("statistics", {})),
         (": ref_max_score isn't", entry("ref_max_score", 9.0)),
         (": jpeg_encoding isn't", entry("jpeg_encoding", True)),
         ("env_spec", entry("env_spec", '{"id": "knotgym/Tie-v0", "entry_point": "os:system"}')),

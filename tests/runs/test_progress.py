@@ -6,13 +6,24 @@ import time
 from contextlib import redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from rich.console import Console
 
+from knotgym.common import Counts
 from knotgym.rope import warn_of_compilation
-from knotgym.runs.executors import compile_first
+from knotgym.runs.executors import compile_first, executor
 from knotgym.runs.progress import Progress
+from knotgym.runs.runner import Call, Recipe, compute
+
+
+def ends_three(number: int) -> dict[str, Any]:
+    for _ in range(3):
+        Counts.end_item()
+    time.sleep(1)
+    return {"number": np.array(number)}
 
 
 def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,6 +88,32 @@ def test_work_without_a_count_is_named_again_and_again(monkeypatch: pytest.Monke
         time.sleep(0.5)
     lines = written.getvalue().splitlines()
     assert [line[9:] for line in lines[:4]] == ["playing", "playing: 4 of 4", "writing", "writing"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_items_count_as_they_end_before_their_call_returns(
+    workers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
+    written = io.StringIO()
+
+    def recipe() -> Recipe[None]:
+        yield [Call(f"episodes {number}", ends_three, (number,), items=4) for number in range(2)]
+
+    with Progress(console=Console(file=written, width=200)) as progress, executor(workers) as pool:
+        compute(recipe(), pool=pool, progress=progress)
+    told = [line[9:].partition(";")[0] for line in written.getvalue().splitlines()]
+    assert f"episodes: {3 if workers == 1 else 6} of 8" in told and "episodes: 8 of 8" in told
+    assert told == sorted(told)
+
+
+def test_what_is_counted_anywhere_is_shown_while_a_command_runs() -> None:
+    written = io.StringIO()
+    with Progress(console=Console(file=written, width=200)):
+        assert [*Counts.over("ab", "drawing", 2)] == ["a", "b"]
+    Counts.tell("drawing", 1, 2)  # nobody listens
+    told = [line[9:] for line in written.getvalue().splitlines()]
+    assert told == ["drawing", "drawing: 0 of 2", "drawing: 2 of 2"]
 
 
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:

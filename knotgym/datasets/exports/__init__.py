@@ -10,7 +10,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from knotgym.common import InvalidInput, atomic_write, require_output
+from knotgym.common import Counts, InvalidInput, atomic_write, require_output
 
 if TYPE_CHECKING:
     from knotgym.datasets.episode_verification import Replay
@@ -56,7 +56,8 @@ def _write_files(
     from knotgym.datasets.episode_verification import expanded
 
     datasets, size = [open_episodes(path) for path in source.episodes], 0
-    for path, one in zip(source.episodes, datasets, strict=True):
+    pairs = zip(source.episodes, datasets, strict=True)
+    for path, one in Counts.over(pairs, "writing datasets", len(datasets)):
         kept = {name: one.attributes[name] for name in {"expansion"} & one.attributes.keys()}
         if not whole:
             one = replace(one, episodes=one.episodes.recording())

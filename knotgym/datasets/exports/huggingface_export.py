@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import Column, InvalidInput, Schema, Table
+from knotgym.common import Column, Counts, InvalidInput, Schema, Table
 from knotgym.datasets.cards import (
     citation_file,
     filled_template,
@@ -184,8 +184,10 @@ def _step_tables(dataset: EpisodeDataset, schema: Schema) -> Iterator[Table]:
         schema: `_rows_of_steps`; optional columns that the dataset lacks hold `Column.unknown`.
     """
     pictures = any(column.name == "image" for column in schema.columns)
-    for first in range(0, dataset.episodes.episodes.rows, _AT_ONCE):
-        last = min(first + _AT_ONCE, dataset.episodes.episodes.rows)
+    rows, offsets = dataset.episodes.episodes.rows, dataset.episodes.offsets
+    for first in range(0, rows, _AT_ONCE):
+        Counts.tell("writing steps", Counts.from_now(int(offsets[first])), int(offsets[-1]))
+        last = min(first + _AT_ONCE, rows)
         yield _step_table(dataset.select(np.arange(first, last)), first, pictures).filled(schema)
 
 
@@ -230,13 +232,18 @@ def _write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
     return rows, page
 
 
+def _encoded(picture: NDArray[np.uint8]) -> bytes:
+    Counts.end_item()  # a step is written when its picture is, which takes longest
+    return encode(picture, _PNG_LEVEL)
+
+
 def _arrow_table(table: Table) -> Any:
     """Convert a table; its metadata say where Hugging Face finds pictures."""
     pa, columns = arrow(), dict[str, Any]()
     for name, values in table.items():
         flat = np.ascontiguousarray(values).reshape(len(values), -1)
         if name == "image":
-            column = picture_column(encode(one, _PNG_LEVEL) for one in values)
+            column = picture_column(map(_encoded, values))
         elif values.ndim > 1:
             column = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
         else:

@@ -11,7 +11,7 @@ uploaded to hf://USER. All ids must begin with the same word, which Minari takes
 import json
 from pathlib import Path
 
-from knotgym.common import InvalidInput
+from knotgym.common import Counts, InvalidInput
 from knotgym.datasets.cards import citation_file, filled_template, plain, table, write_text
 from knotgym.datasets.episode_dataset import FILE, columns_of
 from knotgym.datasets.episode_verification import Replay
@@ -58,7 +58,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
             f" {', '.join(sources)}"
         )
     repository = root / words.pop()
-    for name, data in sources.items():
+    for name, data in Counts.over(sources.items(), "copying datasets", len(sources)):
         (root / name / "data").mkdir(parents=True)
         for file in dataset_files(data):
             copy_file(file, root / name / "data" / file.name)

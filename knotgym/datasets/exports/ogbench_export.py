@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidInput, atomic_write, require_output
+from knotgym.common import Counts, InvalidInput, atomic_write, require_output
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.located import Located
@@ -73,7 +73,9 @@ def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
     terminals[dataset.episodes.last()] = True
     seen = steps["observation"].reshape(steps.rows, -1)
     if look != "state":
-        seen = dataset.pictures(beside_goals=False)
+        rows = dataset.episodes.episodes.rows
+        told = Counts.over(range(rows), "drawing episodes", rows)
+        seen = np.concatenate([dataset.select([k]).pictures(beside_goals=False) for k in told])
     return {"observations": seen, "actions": steps["action"], "terminals": terminals}
 
 

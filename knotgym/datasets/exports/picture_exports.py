@@ -12,6 +12,7 @@ that pycocotools reads; a crossing's is the square around it.
 import io
 import json
 import tarfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput
+from knotgym.common import Counts, InvalidInput
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.image_table import decode, file_stem, read_rows, read_table
 from knotgym.datasets.located import Located
@@ -104,10 +105,11 @@ def _splits(source: Located) -> Iterator[tuple[str, Iterator[dict[str, Any]]]]:
     """Yield the name of each split, as in file names, and its rows."""
     assert source.pictures is not None
     found = read_table(source.pictures, columns=["split"])["split"].to_pylist()
-    present = {*map(file_stem, found)}
+    counts = Counter(map(file_stem, found))
     for split in IMAGE_SPLITS:
-        if file_stem(split) in present:
-            yield file_stem(split), read_rows(source.pictures, split)
+        if count := counts[name := file_stem(split)]:
+            rows = read_rows(source.pictures, split)
+            yield name, Counts.over(rows, f"writing pictures of {name}", count)
 
 
 def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, InvalidInput, as_json
+from knotgym.common import Counts, InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import column_names, points_of, read_table, shards
@@ -193,7 +193,7 @@ def _shapes(
                 "q": [_number(values[k]) for _, values in measures.values()],
                 "x": _crossings(points[k]),
             }
-            for k, number in enumerate(rows)
+            for k, number in enumerate(Counts.over(rows, "shapes of the page", len(rows)))
         ],
     }
 
@@ -218,7 +218,8 @@ def _episodes(sources: Sequence[Path], notices: list[str], about: dict[str, Any]
         "steps": sum(lengths),
         **_versions(datasets[0].attributes.get("versions") or {}),
     }
-    return {"episodes": [_episode(*every[k]) for k in rows], "beads": datasets[0].task.beads}
+    told = Counts.over(rows, "episodes of the page", len(rows))
+    return {"episodes": [_episode(*every[k]) for k in told], "beads": datasets[0].task.beads}
 
 
 def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import (
     Column,
+    Counts,
     InvalidFile,
     KnotgymError,
     Mark,
@@ -109,6 +110,8 @@ class Entry(NamedTuple):
         ends = np.concatenate([[0], np.cumsum(lengths)])
         # the chain engine replays an entry sooner than workers start
         with executor(0 if config.task.engine == MUJOCO else 1) as pool:
+            done = Counts.from_now(pool=pool)
+            Counts.tell("episodes replayed", done, self.rows.rows)
             for setup, (policy, task) in enumerate(config.setups()):
                 few = blocks(config.episodes, task, policy.plans)
                 bounds = [(first + one.start, first + one.stop) for one in few]

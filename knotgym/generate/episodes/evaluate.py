@@ -71,7 +71,7 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
     numbers = [blocks(config.episodes, task, policy.plans) for policy, task in setups]
     calls = [
         Call(
-            f"episodes of setup {setup} {few.start}-{few.stop - 1}{', recorded' * recorded}",
+            f"episodes of setup {setup}{', recorded' * recorded} {few.start}-{few.stop - 1}",
             _play,
             (*one, few, config.seed, recorded),
             len(few),

@@ -27,7 +27,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from knotgym.common import InvalidInput, Stream, inner
+from knotgym.common import Counts, InvalidInput, Stream, inner
 from knotgym.generate.states.curve_files import Curve, read_curves
 from knotgym.generate.states.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import Limits, Quality
@@ -75,7 +75,7 @@ def import_curves(paths: Sequence[str | Path]) -> tuple[States, list[str]]:
         except InvalidInput as error:
             refused.append(str(error))
     made: list[tuple[str, dict[str, Any]]] = []
-    for number, curve in enumerate(curves):
+    for number, curve in enumerate(Counts.over(curves, "relaxing curves", len(curves))):
         try:
             made.append((curve.name, _laid(curve.points, number, simulation)))
         except InvalidInput as error:

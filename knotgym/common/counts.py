@@ -1,0 +1,53 @@
+"""How far long work is: whatever takes long counts here, and the display of a command listens."""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import Any, ClassVar, TypeAlias, TypeVar
+
+Item = TypeVar("Item")
+Done: TypeAlias = int | Callable[[], int]  # how many items are done, or what returns that by now
+
+
+class Counts:
+    """What this process counts; nobody has to listen.
+
+    Loops of the main process count their stage. Work that may run in other processes counts the
+    items that it ends, such as episodes, in a counter which those processes share.
+
+    Attributes:
+        listeners: each is called with the stage, how many of its items are done, and the total;
+            the last one is told.
+        ended: `value` is the number of items that ended. Worker processes have a
+            `multiprocessing.Value` here.
+    """
+
+    listeners: ClassVar[list[Callable[[str, Done, int], None]]] = []
+    ended: ClassVar[Any] = SimpleNamespace(value=0)
+
+    @classmethod
+    def tell(cls, stage: str, done: Done, total: int) -> None:
+        """Tell who listens how far a stage is."""
+        if cls.listeners:
+            cls.listeners[-1](stage, done, total)
+
+    @classmethod
+    def over(cls, items: Iterable[Item], stage: str, total: int) -> Iterator[Item]:
+        """Yield items, and tell how many of `total` are done."""
+        for done, item in enumerate(items):
+            cls.tell(stage, done, total)
+            yield item
+        cls.tell(stage, total, total)
+
+    @classmethod
+    def end_item(cls) -> None:
+        """Count an item that has ended, in whichever process."""
+        with getattr(cls.ended, "get_lock", nullcontext)():
+            cls.ended.value += 1
+
+    @classmethod
+    def from_now(cls, done: int = 0, pool: Any = None) -> Callable[[], int]:
+        """Return what counts on from `done` as items end in a pool, or in this process."""
+        counter = getattr(pool, "ended", cls.ended)
+        before = counter.value
+        return lambda: int(done + counter.value - before)
