@@ -136,13 +136,9 @@ class AppearanceConfig:
         kind = APPEARANCES[self.name]
         vary = kind.vary if self.vary == ("all",) else () if self.vary == ("none",) else self.vary
         if fixed := [name for name in vary if name not in kind.vary]:
-            raise InvalidInput(
-                f"appearance {self.name} can't vary {', '.join(fixed)}: "
-                + (
-                    f"choose from {', '.join(kind.vary)}, or all, or none" * bool(kind.vary)
-                    or "leave out what to vary"
-                )
-            )
+            known = f"choose from {', '.join(kind.vary)}, or all, or none"
+            advice = known if kind.vary else "leave out what to vary"
+            raise InvalidInput(f"appearance {self.name} can't vary {', '.join(fixed)}: {advice}")
         object.__setattr__(self, "vary", tuple(name for name in kind.vary if name in vary))
 
     @property

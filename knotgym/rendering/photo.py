@@ -20,26 +20,17 @@ from numpy.typing import NDArray
 from knotgym.common import Stream
 from knotgym.rendering.appearances import TILT, AppearanceConfig
 from knotgym.rendering.camera import DEFAULT
-from knotgym.rendering.photo_look import (
-    LIMITS,
-    WIDTHS,
-    Photo,
-    drawn_dyes,
-    drawn_look,
-    lab,
-    lengths,
-    low_of,
-)
+from knotgym.rendering.photo_look import LIMITS, WIDTHS, Photo, drawn_look
 from knotgym.rendering.photo_painting import (
     PhotoRope,
     PhotoView,
     Shot,
-    exposed,
+    coloured,
     ground_of,
     painted,
     projected,
 )
-from knotgym.rendering.variation import Appearance, Camera, Drawer, Drawn, Rng, levels_of
+from knotgym.rendering.variation import Appearance, Camera, Drawer, Drawn, Rng
 from knotgym.topology import Symmetry, canonical
 
 Array = NDArray[Any]
@@ -65,15 +56,27 @@ class PhotoDrawer(Drawer):
     def sampled(
         self, points: Array, config: AppearanceConfig, rng: Rng, camera: Camera = (0.0, 0.0)
     ) -> Drawn:
-        size = config.sides[int(rng.integers(len(config.sides)))]
+        rope = PhotoRope(points, config.sides[int(rng.integers(len(config.sides)))])
         marked = bool(rng.random() < config.marked)
-        return _with_answers(_drawn_photo(points, size, rng, *camera, marked=marked))
+        for attempt in range(_TRIES):
+            # a crossing may hide the base from here; then, after half of the tries, there is no
+            # tape
+            if shot := _drawn(rope, rng, camera, marked and attempt < _TRIES // 2):
+                return _with_answers(shot)
+        # `legible` has shown that this one can be read
+        return _with_answers(_clearest(rope, camera))
 
     def for_episode(self, points: Array, size: int, goal: int) -> Photo:
-        return _episode_look(points, size, goal)
+        # The camera is vertical and tape marks the base, so that picture and code agree. The scale
+        # is that of `PictureConfig`, the rope as thick as it is, and nothing lies on it.
+        rng = Stream.EPISODE_LOOK.generator(0, goal)
+        look = replace(drawn_look(Photo(size=size), rng), marked=True, occluders=0)
+        view = PhotoView(PhotoRope(points, size), look)
+        view.stamp(look.radius)
+        return coloured(look, ground_of(look)[0], view.beside()[1], rng)
 
     def legible(self, points: Array, size: int) -> bool:
-        return _clearest(points, size).legible
+        return _clearest(PhotoRope(points, size)).legible
 
 
 def _with_answers(shot: Shot) -> Drawn:
@@ -112,40 +115,18 @@ def photograph(
     """
     for _ in range(_TRIES):
         # from many directions strands touch or fold, whatever the appearance; then another is tried
-        lean, heading = _drawn_camera(rng, tilt)
-        seen = PhotoRope(tilted(points, lean, heading), size)
-        shot = _drawn(seen, size, rng, lean, heading, marked)
-        if shot is not None:
+        camera = _drawn_camera(rng, tilt)
+        if shot := _drawn(PhotoRope(tilted(points, *camera), size), rng, camera, marked):
             return shot
     return None
 
 
-def _drawn_photo(
-    points: Array, size: int, rng: Rng, tilt: float, heading: float, *, marked: bool
-) -> Shot:
-    """Draw a photo of points in the camera's axes that `_clearest` shows to be legible.
-
-    Args:
-        tilt, heading: of the camera, degrees.
-        marked: whether tape marks the base, where no crossing hides it.
-    """
-    rope = PhotoRope(points, size)
-    for attempt in range(_TRIES):
-        # a crossing may hide the base from here; then, after half of the tries, there is no tape
-        wanted = marked and attempt < _TRIES // 2
-        shot = _drawn(rope, size, rng, tilt, heading, wanted)
-        if shot is not None:
-            return shot
-    return _clearest(points, size, tilt, heading)
-
-
-def _clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0) -> Shot:
+def _clearest(rope: PhotoRope, camera: Camera = (0.0, 0.0)) -> Shot:
     """Take the plainest photo: a narrow white rope on a dark surface, as large as the picture."""
-    rope = PhotoRope(points, size)
-    look = _framed(rope, size, 0.0, 1.0, np.zeros(2), tilt, heading)
+    look = _framed(rope, camera, 0.0, 1.0, np.zeros(2))
     # as narrow as allowed, which leaves most background between strands
     width = WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale)
-    return take(points, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
+    return _taken(rope, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
 
 
 def _drawn_camera(rng: Rng, tilt: float = TILT) -> Camera:
@@ -172,46 +153,24 @@ def tilted(points: Array, tilt: float, heading: float) -> Array:
 
 def take(points: Array, look: Photo) -> Shot:
     """Take the photo of points (beads, 3) in the camera's axes with an appearance."""
-    rope = PhotoRope(points, look.size)
-    rng = Stream.IMAGE_GRAIN.generator(look.seed)
-    # random numbers are taken in the order of `_drawn`: first the ground, then what lies on it
-    view, (texture, ground) = PhotoView(rope, look), ground_of(look, rng)
+    return _taken(PhotoRope(points, look.size), look)
+
+
+def _taken(rope: PhotoRope, look: Photo) -> Shot:
+    view = PhotoView(rope, look)
     # `region` stamps only what may be legible; a given appearance is shown in any case
     region = view.region(2 * look.radius)
     if not region:
         view.stamp(look.radius)
-    shot = painted(rope, view, look, region, texture, ground, rng)
-    return replace(shot, image=exposed(shot.image, look))
+    return painted(view, look, region)
 
 
-def _episode_look(points: Array, size: int, number: int) -> Photo:
-    """Draw an appearance in which every state of an episode can be shown.
-
-    The camera is vertical and tape marks the base, so that picture and code agree. The scale is
-    that of `PictureConfig`, the rope as thick as it is, and nothing lies on it.
-
-    Args:
-        points: float64 (beads, 3), metres; the rope's colour stands out from the ground beside it.
-        size: side of the picture, pixels.
-        number: of the appearance.
-    """
-    rng = Stream.EPISODE_LOOK.generator(0, number)
-    look = replace(drawn_look(Photo(size=size), rng), marked=True, occluders=0)
-    ground = ground_of(look, Stream.IMAGE_GRAIN.generator(look.seed))[1]
-    view = PhotoView(PhotoRope(points, size), look)
-    view.stamp(look.radius)
-    return _coloured(look, view, ground, rng)
-
-
-def _drawn(
-    rope: PhotoRope, size: int, rng: Rng, tilt: float, heading: float,
-    marked: bool | None
-) -> Shot | None:  # fmt: skip
+def _drawn(rope: PhotoRope, rng: Rng, camera: Camera, marked: bool | None) -> Shot | None:
     """Draw frame and appearance of one view; None if it isn't legible."""
     if rope.shown.nx > LIMITS.crossings:
         return None
     turn, fill = rng.uniform(-math.pi, math.pi), rng.uniform(0.7, 1.0)
-    look = _framed(rope, size, turn, fill, rng.uniform(-1.0, 1.0, 2), tilt, heading)
+    look = _framed(rope, camera, turn, fill, rng.uniform(-1.0, 1.0, 2))
     view, widest = PhotoView(rope, look), rng.uniform(*WIDTHS)
     # a rope that is illegible at its narrowest isn't looked at any further
     region = view.region(least := WIDTHS[0])
@@ -231,27 +190,23 @@ def _drawn(
     # legible with the first, 12 with the second, 5 with the third and 2 with the fourth
     for _ in range(4):
         look = drawn_look(look, rng)
-        grain = Stream.IMAGE_GRAIN.generator(look.seed)
-        texture, ground = ground_of(look, grain)
-        look = _coloured(look, view, ground, rng)
-        shot = painted(rope, view, look, region, texture, ground, grain)
+        shot = painted(view, look, region, rng)
         if shot.legible:
-            return replace(shot, image=exposed(shot.image, look))
+            return shot
         # they were stamped beside the rope, and the next appearance has others
         if look.others:
             view.stamp(look.radius)
     return None
 
 
-def _framed(
-    rope: PhotoRope, size: int, turn: float, fill: float, place: Array, tilt: float, heading: float
-) -> Photo:
+def _framed(rope: PhotoRope, camera: Camera, turn: float, fill: float, place: Array) -> Photo:
     """Choose zoom and position: the rope fills a share of the picture's side, `place` of the rest.
 
     Args:
         fill: at most 1.
         place: (2,), right and down, from -1 to 1.
     """
+    size, (tilt, heading) = rope.size, camera
     flat = projected(rope.curve, turn, size / DEFAULT.view)[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     # half of the widest rope is beyond its axis on either side, and a pixel is left to the edge
@@ -261,25 +216,3 @@ def _framed(
     right, down = 0.5 * (room - zoom * (high - low)) * place - 0.5 * zoom * (low + high)
     frame: dict[str, Any] = {"zoom": zoom, "right": float(right), "down": float(down)}
     return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame)
-
-
-def _coloured(look: Photo, view: PhotoView, ground: Array, rng: Rng) -> Photo:
-    """Choose the first of 24 colours that stands out from the ground beside the rope, or the best.
-
-    The ground is in the light on one side, in the rope's shadow on the other.
-    """
-    _, (x, y) = (one.T for one in view.beside())
-    dyes = drawn_dyes(rng, 24)
-    # Less than shading leaves of a dye on average (of 80 photos: 0.81 with the grooves of a twist,
-    # else 0.92), so that what fits here nearly always fits in the picture: 110 of 129 views are
-    # legible with their first appearance. The same holds for 6 and 2.6 below.
-    rope = lab((0.66 if look.twisted else 0.8) * dyes)
-    behind = ground[y[::3], x[::3]].astype(np.float64)
-    lit, shaded = lab(behind), lab((1 - 0.55 * look.shadow) * behind)
-    apart = [lengths(rope[:, None] - one) for one in (lit, shaded)]
-    contrast = np.min([low_of(one) for one in apart], axis=0)
-    # where the rope is dark, shadows don't show which strand is over
-    fits = (contrast > LIMITS.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * LIMITS.order)
-    best = int(np.argmax(fits)) if fits.any() else int(np.argmax(contrast + rope[:, 0]))
-    second = dyes[best] * (rng.uniform(0.6, 0.9) if look.twisted and rng.random() < 0.3 else 1.0)
-    return replace(look, first=levels_of(dyes[best]), last=levels_of(second))

@@ -199,8 +199,8 @@ def _arcsine_share(u: Any) -> Any:
 @njit(cache=True, nogil=True)
 def compose(
     picture: Array, strands: Array, visits: Array, square: Array, place: Array, curve: Array,
-    after: Array, tangent: Array, along: Array, colours: Array, radius: Any, twisted: bool,
-    gloss: Any, ambient: Any, dark: Any, light: Array, texture: Array, grown: Any, own: int
+    after: Array, tangent: Array, along: Array, colours: Array, lamp: Array, twisted: bool,
+    texture: Array, grown: Any, own: int
 ) -> None:  # fmt: skip
     """Paint both layers and their shadows on a surface.
 
@@ -212,14 +212,15 @@ def compose(
         tangent: float32 (n, 3), unit.
         along: float32 (n,), length in space up to each point, in turns of the texture.
         colours: float32 (n, 2, 3), RGB of the two strands of the twist.
-        radius: float32, px.
-        gloss, ambient, dark: float32, strengths of highlight, light without direction, and shadows.
-        light: float32 (3,), unit, towards the light; y points down.
+        lamp: float32 (7,): radius of the rope, px; strengths of highlight, light without direction
+            and shadows; unit vector towards the light, y down.
+        twisted: whether the rope is laid of two strands.
         texture: float32 (64, 64), of fibres.
         grown: pieces; an upper piece casts no shadow on places as near along the rope.
         own: number of points of the rope itself; those of others follow.
     """
-    size, n = len(picture), len(curve)
+    size, n, light = len(picture), len(curve), lamp[4:]
+    radius, gloss, ambient, dark = lamp[0], lamp[1], lamp[2], lamp[3]
     # the half vector between the light and the eye, which looks down the z axis (Blinn)
     hx, hy, hz = light[0], light[1], light[2] + _ONE
     norm = _ONE / np.sqrt(hx * hx + hy * hy + hz * hz)
