@@ -10,10 +10,9 @@ count of photos: no answer may differ from those of an outside computation.
 """
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +29,7 @@ from knotgym.rendering.photo_painting import (
     painted,
     projected,
 )
-from knotgym.rendering.variation import Appearance, Camera, Drawer, Drawn, Rng
-from knotgym.topology import Symmetry, canonical
+from knotgym.rendering.variation import Camera, Drawer, Drawn, Rng
 
 Array = NDArray[Any]
 
@@ -51,7 +49,7 @@ class PhotoDrawer(Drawer):
         return take(points, look).image
 
     def drawn(self, points: Array, look: Any) -> Drawn:
-        return _with_answers(take(points, look))
+        return take(points, look)
 
     def sampled(
         self, points: Array, config: AppearanceConfig, rng: Rng, camera: Camera = (0.0, 0.0)
@@ -62,9 +60,9 @@ class PhotoDrawer(Drawer):
             # a crossing may hide the base from here; then, after half of the tries, there is no
             # tape
             if shot := _drawn(rope, rng, camera, marked and attempt < _TRIES // 2):
-                return _with_answers(shot)
+                return shot
         # `legible` has shown that this one can be read
-        return _with_answers(_clearest(rope, camera))
+        return _clearest(rope, camera)
 
     def for_episode(self, points: Array, size: int, goal: int) -> Photo:
         # The camera is vertical and tape marks the base, so that picture and code agree. The scale
@@ -77,26 +75,6 @@ class PhotoDrawer(Drawer):
 
     def legible(self, points: Array, size: int) -> bool:
         return _clearest(PhotoRope(points, size)).legible
-
-
-def _with_answers(shot: Shot) -> Drawn:
-    """Return a photo with the columns of photos."""
-    names, strands = ("strand", "x", "y", "width", "height"), shot.strands
-    visible = range(1, max(2 * shot.crossings.nx, 1) + 1)
-    boxes = [(k, *cv2.boundingRect((strands == k).view(np.uint8))) for k in visible]
-    shared = {one.name for one in fields(Appearance)}
-    own = [one.name for one in fields(Photo) if one.name not in shared]
-    photo: dict[str, Any] = {name: getattr(shot.look, name) for name in own}
-    photo |= {"ground": list(shot.look.ground), "rope_width": 2 * shot.look.radius}
-    photo |= {name: getattr(shot, name) for name in ("contrast", "order", "region")}
-    columns = {
-        "canonical_code": str(canonical(shot.crossings.code, Symmetry.DIAGRAM)),
-        "strands": strands,
-        "boxes": [dict(zip(names, box, strict=True)) for box in boxes],
-        "line": shot.line.ravel().tolist(),
-        "photo": photo,
-    }
-    return Drawn(shot.image, shot.look, shot.pixels, columns)
 
 
 def photograph(

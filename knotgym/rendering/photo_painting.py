@@ -31,8 +31,8 @@ from knotgym.rendering.photo_look import (
     low_of,
 )
 from knotgym.rendering.picture import strand_spacing
-from knotgym.rendering.variation import Rng, levels_of
-from knotgym.topology import Crossings, find_crossings
+from knotgym.rendering.variation import Appearance, Drawn, Rng, levels_of
+from knotgym.topology import Crossings, Symmetry, canonical, find_crossings
 
 Array = NDArray[Any]
 
@@ -40,16 +40,13 @@ _EASES = (0.25, 0.1)  # see `smooth_curve`
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class Shot(Drawn):
     """A photo with its answers.
 
     Attributes:
-        image: uint8 (size, size, 3), RGB.
-        look: its appearance.
         points: float64 (beads, 3), metres, in the camera's axes; what is computed from a rope seen
             from above, such as `find_crossings` and PD codes, is of this camera's view.
         crossings: of the points.
-        pixels: float64 (nx, 2), x and y of the crossings, px, in order of labels.
         line: float32 (beads, 3), x and y of the rope's axis at each vertex, px, and its height
             towards the camera above the centre of mass, metres.
         strands: uint8 (size, size), 0 where no rope is visible, else the edge of the PD code: edge
@@ -57,11 +54,8 @@ class Shot:
         contrast, order, region: measured, see `Legibility`; infinity where nothing is to measure.
     """
 
-    image: NDArray[np.uint8]
-    look: Photo
     points: Array
     crossings: Crossings
-    pixels: Array
     line: Array
     strands: NDArray[np.uint8]
     contrast: float
@@ -73,6 +67,24 @@ class Shot:
         """Whether a person can decide every crossing."""
         shown = self.contrast >= LIMITS.contrast and self.order >= LIMITS.order
         return self.region > 0 and shown
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The columns of photos."""
+        names, visible = ("x", "y", "width", "height"), range(1, max(2 * self.crossings.nx, 1) + 1)
+        boxes = [cv2.boundingRect((self.strands == k).view(np.uint8)) for k in visible]
+        shared, look = vars(Appearance()), vars(self.look)
+        photo = {name: value for name, value in look.items() if name not in shared}
+        photo |= {"ground": list(self.look.ground), "rope_width": 2 * self.look.radius}
+        photo |= {name: getattr(self, name) for name in ("contrast", "order", "region")}
+        return {
+            "canonical_code": str(canonical(self.crossings.code, Symmetry.DIAGRAM)),
+            "strands": self.strands,
+            "boxes": [{"strand": k, **dict(zip(names, box, strict=True))}
+                      for k, box in zip(visible, boxes, strict=True)],
+            "line": self.line.ravel().tolist(),
+            "photo": photo,
+        }  # fmt: skip
 
 
 class PhotoRope:
@@ -307,7 +319,7 @@ def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None)
     contrast, order = _contrasts(view, picture, *beside)
     line = view.curve[:: rope.parts].copy()
     line[:, 2] = rope.curve[:: rope.parts, 2]
-    answers = rope.points, rope.crossings, view.at(view.over), line, strands
+    answers = view.at(view.over), rope.points, rope.crossings, line, strands
     return Shot(_exposed(picture, look), look, *answers, contrast, order, region)
 
 

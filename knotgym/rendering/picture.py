@@ -87,21 +87,18 @@ def _draw_all(
         out = np.empty((frames, views * size, size, config.channels), dtype=np.uint8)
     # `reshape` below would copy a strided array, and the background be written to the copy
     require(out.flags.c_contiguous, "out must be contiguous", out.strides)
+    ropes = np.stack([seen_from(view, points) for view in config.views], axis=1)
+    ropes, squares = ropes.reshape(-1, beads, 3), out.reshape(-1, size, *out.shape[2:])
     if config.renderer == "mujoco":
         # imported only here, because the module searches for OpenGL
         from knotgym.rendering import mujoco_renderer
 
-        # one rope after another, as OpenGL draws no batch
-        for image, rope in zip(out[:, :, :size], points, strict=True):
-            for square, view in zip(np.split(image, views), config.views, strict=True):
-                square[:] = mujoco_renderer.draw(seen_from(view, rope), colours, config)
+        for square, rope in zip(squares, ropes, strict=True):
+            square[:, :size] = mujoco_renderer.draw(rope, colours, config)
         return out
     # whole rows: NumPy assigns three channels at a time forty times more slowly
     row = np.tile(np.array((*config.background, 0)[: config.channels], dtype=np.uint8), size)
     out.reshape(*out.shape[:2], out.shape[2] * config.channels)[:, :, : row.size] = row
-    sides = [seen_from(view, points) for view in config.views]
-    ropes = np.stack(sides, axis=1).reshape(-1, beads, 3) if views > 1 else sides[0]
-    squares = out.reshape(-1, size, *out.shape[2:])
     paint(*in_picture(ropes, config), colours, np.empty((0, 5)), squares)
     return out
 

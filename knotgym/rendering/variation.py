@@ -15,7 +15,7 @@ the published one, and crossings lie where it says.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pkgutil import resolve_name
 from typing import Any, ClassVar
 
@@ -95,13 +95,16 @@ class Drawn:
         image: uint8 (size, size, 3), RGB.
         look: its appearance.
         pixels: float64 (nx, 2), x and y of the crossings, in order of labels.
-        columns: those that tables of the appearance alone have; PNG files as uint8 arrays.
     """
 
     image: NDArray[np.uint8]
-    look: Appearance
+    look: Any
     pixels: Array
-    columns: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Those that tables of the appearance alone have; PNG files as uint8 arrays."""
+        return {}
 
 
 class Drawer:
