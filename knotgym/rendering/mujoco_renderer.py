@@ -35,14 +35,11 @@ _SAMPLES = 4  # along each side of a pixel, averaged
 # Only ambient light, so that colours are flat; no multisampling (offsamples), which
 # drivers do each in their own way.
 _STAGE = """
-<mujoco>
-  <visual>
-    <headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/>
-    <quality offsamples="0" shadowsize="0" numslices="24" numstacks="12" numquads="1"/>
-    <global offwidth="{side}" offheight="{side}"/>
-  </visual>
-  <worldbody/>
-</mujoco>
+<mujoco><worldbody/><visual>
+  <headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/>
+  <quality offsamples="0" shadowsize="0" numslices="24" numstacks="12" numquads="1"/>
+  <global offwidth="{side}" offheight="{side}"/>
+</visual></mujoco>
 """
 
 

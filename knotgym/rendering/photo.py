@@ -20,15 +20,7 @@ from knotgym.common import Stream
 from knotgym.rendering.appearances import TILT, AppearanceConfig
 from knotgym.rendering.camera import DEFAULT
 from knotgym.rendering.photo_look import LIMITS, WIDTHS, Photo, drawn_look
-from knotgym.rendering.photo_painting import (
-    PhotoRope,
-    PhotoView,
-    Shot,
-    coloured,
-    ground_of,
-    painted,
-    projected,
-)
+from knotgym.rendering.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
 from knotgym.rendering.variation import Camera, Drawer, Drawn, Rng
 
 Array = NDArray[Any]
@@ -71,7 +63,7 @@ class PhotoDrawer(Drawer):
         look = replace(drawn_look(Photo(size=size), rng), marked=True, occluders=0)
         view = PhotoView(PhotoRope(points, size), look)
         view.stamp(look.radius)
-        return coloured(look, ground_of(look)[0], view.beside()[1], rng)
+        return view.coloured(look, ground_of(look)[0], rng)
 
     def legible(self, points: Array, size: int) -> bool:
         return _clearest(PhotoRope(points, size)).legible
@@ -185,7 +177,7 @@ def _framed(rope: PhotoRope, camera: Camera, turn: float, fill: float, place: Ar
         place: (2,), right and down, from -1 to 1.
     """
     size, (tilt, heading) = rope.size, camera
-    flat = projected(rope.curve, turn, size / DEFAULT.view)[:, :2]
+    flat = rope.projected(turn, size / DEFAULT.view)[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     # half of the widest rope is beyond its axis on either side, and a pixel is left to the edge
     room = size - WIDTHS[1] - 2.0

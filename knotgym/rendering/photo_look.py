@@ -20,7 +20,6 @@ Array = NDArray[Any]
 SURFACES = ("cloth", "wood", "gradient", "noise")
 _BACKGROUNDS = (*SURFACES, "clutter", "ropes")
 WIDTHS = (3.0, 12.0)  # of the rope, px
-TAPE = (200, 30, 36)  # RGB, of the bead before the base
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
 
 
@@ -125,6 +124,13 @@ class Photo(Appearance):
         """Radius of the rope, px."""
         return DEFAULT.rope_radius * self.width * self.scale
 
+    @property
+    def light(self) -> Array:
+        """Direction towards the light, (3,); y points down."""
+        turn, height = math.radians(self.light_turn), math.radians(self.light_height)
+        flat = math.cos(height)
+        return np.array([flat * math.cos(turn), flat * math.sin(turn), math.sin(height)])
+
 
 def drawn_look(look: Photo, rng: Rng) -> Photo:
     """Draw everything but the frame and the rope's colours."""
@@ -152,14 +158,6 @@ def drawn_look(look: Photo, rng: Rng) -> Photo:
     drawn |= {"jpeg": rng.integers(45, 101), "seed": rng.integers(2**62)}
     plain = {name: type(getattr(look, name))(value) for name, value in drawn.items()}
     return replace(look, **plain)
-
-
-def light_of(look: Photo) -> Array:
-    """Return the direction towards the light, (3,); y points down."""
-    turn, height = math.radians(look.light_turn), math.radians(look.light_height)
-    # spherical coordinates
-    flat = math.cos(height)
-    return np.array([flat * math.cos(turn), flat * math.sin(turn), math.sin(height)])
 
 
 def drawn_dyes(rng: Rng, count: int) -> Array:

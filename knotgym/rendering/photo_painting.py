@@ -19,23 +19,14 @@ from numpy.typing import NDArray
 from knotgym.common import Stream
 from knotgym.rendering import photo_kernels as kernels
 from knotgym.rendering.diagram import smooth_curve
-from knotgym.rendering.photo_look import (
-    LIMITS,
-    SURFACES,
-    TAPE,
-    Photo,
-    drawn_dyes,
-    lab,
-    lengths,
-    light_of,
-    low_of,
-)
+from knotgym.rendering.photo_look import LIMITS, SURFACES, Photo, drawn_dyes, lab, lengths, low_of
 from knotgym.rendering.picture import strand_spacing
 from knotgym.rendering.variation import Appearance, Drawn, Rng, levels_of
 from knotgym.topology import Crossings, Symmetry, canonical, find_crossings
 
 Array = NDArray[Any]
 
+_TAPE = (200, 30, 36)  # RGB, of the bead before the base
 _EASES = (0.25, 0.1)  # see `smooth_curve`
 
 
@@ -98,6 +89,12 @@ class PhotoRope:
         flat = self.points - self.points.mean(axis=0)
         self.curve, self.shown = smooth_curve(flat, self.crossings.code, self.parts, _EASES)
 
+    def projected(self, turn: float, scale: float) -> Array:
+        """Return x and y down in the picture, and height, (n, 3), of the curve."""
+        x, y, z = self.curve.T
+        c, s = math.cos(turn) * scale, math.sin(turn) * scale
+        return np.stack([c * x + s * y, s * x - c * y, scale * z], axis=1)
+
 
 class PhotoView:
     """The rope in a picture: its axis in pixels, and the nearest pieces at every pixel.
@@ -112,7 +109,7 @@ class PhotoView:
         self.rope, self.size, shown = rope, look.size, rope.shown
         self.unit = max(look.size / 256, 1.0)
         middle = 0.5 * look.size + np.array([look.right, look.down, -0.5 * look.size])
-        curve = projected(rope.curve, look.turn, look.scale) + middle
+        curve = rope.projected(look.turn, look.scale) + middle
         self.curve = curve.astype(np.float32)
         self.after = np.append(np.arange(1, len(self.curve)), 0)
         self.over, self.under = shown.over_place, shown.under_place
@@ -187,17 +184,33 @@ class PhotoView:
         free &= (x == outer[:, 0]) & (y == outer[:, 1])
         return inner[free], outer[free]
 
+    def coloured(self, look: Photo, ground: Array, rng: Rng) -> Photo:
+        """Choose the first of 24 colours that stands out from the ground, or the best.
+
+        Beside the rope, the ground is in the light on one side, in the rope's shadow on the other.
+        """
+        x, y = self.beside()[1][::3].T
+        dyes = drawn_dyes(rng, 24)
+        # Less than shading leaves of a dye on average (of 80 photos: 0.81 with the grooves of a
+        # twist, else 0.92), so that what fits here nearly always fits in the picture: 110 of 129
+        # views are legible with their first appearance. The same holds for 6 and 2.6 below.
+        rope = lab((0.66 if look.twisted else 0.8) * dyes)
+        behind = ground[y, x].astype(np.float64)
+        lit, shaded = lab(behind), lab((1 - 0.55 * look.shadow) * behind)
+        apart = [lengths(rope[:, None] - one) for one in (lit, shaded)]
+        contrast = np.min([low_of(one) for one in apart], axis=0)
+        # where the rope is dark, shadows don't show which strand is over
+        fits = (contrast > LIMITS.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * LIMITS.order)
+        best = int(np.argmax(fits)) if fits.any() else int(np.argmax(contrast + rope[:, 0]))
+        first = second = dyes[best]
+        if look.twisted and rng.random() < 0.3:
+            second = first * rng.uniform(0.6, 0.9)
+        return replace(look, first=levels_of(first), last=levels_of(second))
+
 
 def _reach(radius: float) -> float:
     """Return how far from its axis the rope and its shadows reach, px."""
     return 1.8 * radius + 1.5
-
-
-def projected(offset: Array, turn: float, scale: float) -> Array:
-    """Return x and y down in the picture, and height, (n, 3), of positions in the camera's axes."""
-    x, y, z = offset.T
-    c, s = math.cos(turn) * scale, math.sin(turn) * scale
-    return np.stack([c * x + s * y, s * x - c * y, scale * z], axis=1)
 
 
 def ground_of(look: Photo) -> tuple[Array, Array, Rng]:
@@ -235,28 +248,6 @@ def ground_of(look: Photo) -> tuple[Array, Array, Rng]:
     return picture, texture, rng
 
 
-def coloured(look: Photo, ground: Array, beside: Array, rng: Rng) -> Photo:
-    """Choose the first of 24 colours that stands out from the ground beside the rope, or the best.
-
-    The ground, at pixels (n, 2), is in the light on one side, in the rope's shadow on the other.
-    """
-    x, y = beside[::3].T
-    dyes = drawn_dyes(rng, 24)
-    # Less than shading leaves of a dye on average (of 80 photos: 0.81 with the grooves of a twist,
-    # else 0.92), so that what fits here nearly always fits in the picture: 110 of 129 views are
-    # legible with their first appearance. The same holds for 6 and 2.6 below.
-    rope = lab((0.66 if look.twisted else 0.8) * dyes)
-    behind = ground[y, x].astype(np.float64)
-    lit, shaded = lab(behind), lab((1 - 0.55 * look.shadow) * behind)
-    apart = [lengths(rope[:, None] - one) for one in (lit, shaded)]
-    contrast = np.min([low_of(one) for one in apart], axis=0)
-    # where the rope is dark, shadows don't show which strand is over
-    fits = (contrast > LIMITS.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * LIMITS.order)
-    best = int(np.argmax(fits)) if fits.any() else int(np.argmax(contrast + rope[:, 0]))
-    second = dyes[best] * (rng.uniform(0.6, 0.9) if look.twisted and rng.random() < 0.3 else 1.0)
-    return replace(look, first=levels_of(dyes[best]), last=levels_of(second))
-
-
 def _lay(
     picture: Array, look: Photo, middles: Array, reach: Array, colours: Array,
     rng: Rng
@@ -272,7 +263,7 @@ def _lay(
         off = far * (math.cos(math.pi / corners) if corners < 12 else 0.97)
         slim = np.where(np.arange(sides) % corners % 2, rng.uniform(0.5, 1.0), 1.0)
         outline[1:] = np.column_stack([np.cos(angles), np.sin(angles), off * slim])
-    light, hidden = light_of(look), np.zeros(picture.shape[:2], np.uint8)
+    light, hidden = look.light, np.zeros(picture.shape[:2], np.uint8)
     shift = (-0.012 * look.size * light[:2]).astype(np.float32)
     kernels.shapes(picture, hidden, outlines, colours.astype(np.float32), shift, 0.5 * look.shadow)
     return hidden
@@ -289,12 +280,12 @@ def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None)
     """
     rope, (picture, texture, grain), beside = view.rope, ground_of(look), view.beside()
     if rng is not None:
-        look = coloured(look, picture, beside[1], rng)
+        look = view.coloured(look, picture, rng)
     n, strands = len(view.curve), np.zeros(picture.shape[:2], np.uint8)
     colours = np.empty((n, 2, 3), np.float32)
     colours[:, 0], colours[:, 1] = look.first, look.last
     if look.marked:
-        colours[: rope.parts], colours[-rope.parts :] = 240, TAPE
+        colours[: rope.parts], colours[-rope.parts :] = 240, _TAPE
     curve, after = view.curve, view.after
     if look.others:
         curve, after, colours = _with_others(view, look, colours, grain)
@@ -305,7 +296,7 @@ def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None)
     np.add.at(tangent, after, step)
     tangent /= np.maximum(np.sqrt((tangent**2).sum(axis=1)), 1e-6)[:, None]
     grown = 3.0 * view.radius * n / length[n]
-    lamp = view.radius, look.gloss, look.ambient, look.shadow, *light_of(look)
+    lamp = view.radius, look.gloss, look.ambient, look.shadow, *look.light
     kernels.compose(
         picture, strands, view.visits, view.square, view.place, curve, after,
         tangent.astype(np.float32), (length * turns / length[n]).astype(np.float32), colours,
@@ -325,9 +316,8 @@ def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None)
 
 def _exposed(picture: Array, look: Photo) -> Array:
     """Add what the lamp and the camera do to a picture, which is changed."""
-    light = light_of(look)
     gain = look.exposure * np.array([1 + 0.5 * look.warmth, 1.0, 1 - 0.5 * look.warmth])
-    slope = (look.falloff * light[:2]).astype(np.float32)
+    slope = (look.falloff * look.light[:2]).astype(np.float32)
     kernels.expose(picture, gain.astype(np.float32), slope, look.noise, look.seed)
     if look.jpeg < 100:
         quality = [cv2.IMWRITE_JPEG_QUALITY, look.jpeg]

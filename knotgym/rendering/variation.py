@@ -167,14 +167,15 @@ class Drawer:
         # The order of the draws is part of every table: a new one belongs at the end.
         vary, plain = set(config.vary), Appearance()
         size = config.sides[int(rng.integers(len(config.sides)))]
-        turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
-        width = float(rng.uniform(*config.width)) if "width" in vary else 1.0
-        width, zoom = self._framed(points, size, turn, width)
-        if "zoom" in vary:
-            most = _largest_zoom(points, turn, width)
-            low, high = config.zoom
-            # a rope larger than the range allows for is shown as large as fits
-            zoom = float(rng.uniform(min(low, most), min(high, most)))
+
+        def drawn(name: str, low: float, high: float, fixed: float = 0.0) -> float:
+            return float(rng.uniform(low, high)) if name in vary else fixed
+
+        turn = drawn("turn", -math.pi, math.pi)
+        width, zoom = self._framed(points, size, turn, drawn("width", *config.width, 1.0))
+        # a rope larger than the range allows for is shown as large as fits
+        most = _largest_zoom(points, turn, width)
+        zoom = drawn("zoom", *(min(end, most) for end in config.zoom), zoom)
         kind = self.colours
         if "colours" in vary:
             kind = ("published", "single", "gradient")[int(rng.integers(3))]
@@ -187,13 +188,13 @@ class Drawer:
             dark = rng.integers(20, 60, 3)
             dark[rng.integers(3)] = rng.integers(150, 200)
             last = levels_of(dark)
-        noise = float(rng.uniform(0, config.noise)) if "noise" in vary else 0.0
-        blur = float(rng.uniform(0, config.blur)) * size / plain.size if "blur" in vary else 0.0
-        look = self.look(name=self.name, size=size, turn=turn, zoom=zoom, width=width)
-        look = replace(look, colours=kind, last=last, background=background, noise=noise, blur=blur)
-        if kind != "published" and "colours" in vary:
-            look = replace(look, first=first)
-        return replace(look, seed=int(rng.integers(2**62))) if noise else look
+        if kind == "published" or "colours" not in vary:
+            first = plain.first
+        noise, blur = drawn("noise", 0, config.noise), drawn("blur", 0, config.blur)
+        look = self.look(name=self.name, size=size, turn=turn, zoom=zoom, width=width, noise=noise)
+        look = replace(look, colours=kind, first=first, last=last, background=background)
+        seed = int(rng.integers(2**62)) if noise else plain.seed
+        return replace(look, blur=blur * size / plain.size, seed=seed)
 
     def _framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
         """Return the factor on the rope's width, and the zoom where it doesn't vary."""
