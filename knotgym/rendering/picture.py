@@ -38,6 +38,11 @@ Array = NDArray[Any]
 
 # less would change no level of the colours in use, and only the depth of a pixel
 _LEAST_COVER = 1.0 / 64.0
+# A strand of rope at a pixel: the strand there that was found before, or -1; the pixel; the first
+# and the last piece that touched it, and the piece on top; its coverage, the rank of the piece on
+# top, and the height of the axis there.
+_PLACES = [(name, np.int64) for name in ("before", "pixel", "first", "last", "top")]
+_STRAND = np.dtype([*_PLACES, *((name, np.float64) for name in ("cover", "rank", "height"))])
 _OUTSIDE = -1e12  # rank of a piece whose edge alone covers the pixel, less its distance, pixels
 
 
@@ -122,24 +127,21 @@ def paint(
             columns.
     """
     size = out.shape[1]
-    # Strands are kept in lists: `first` has each pixel's newest strand or -1, `of` the strand
-    # before, the pixel, the first and the last piece that touched it, and the piece on top; `seen`
-    # its coverage, the rank of the piece on top, and the height of the axis there.
-    first = np.empty(size * size, np.int32)
-    first[:] = -1
-    of, seen = np.empty((4096, 5), np.int32), np.empty((4096, 3))
+    newest = np.empty(size * size, np.int64)  # strand of each pixel, -1 for none
+    newest[:] = -1
+    strands = np.empty(4096, _STRAND)
     for k in range(len(ropes)):
-        count, of, seen = _stamp(ropes[k], first, of, seen, size)
+        count, strands = _stamp(ropes[k], newest, strands, size)
         for b in range(len(bands)):
-            _cut(ropes[k], bands[b], first, of, seen, size)
-        _blend(count, first, of, seen, colours, depths, out[k])
+            _cut(ropes[k], bands[b], newest, strands, size)
+        _blend(count, newest, strands, colours, depths, out[k])
         for strand in range(count):
-            first[of[strand, 1]] = -1
+            newest[strands[strand].pixel] = -1
 
 
 @inlined
-def _stamp(rope: Array, first: Array, of: Array, seen: Array, size: int) -> Any:
-    """Find the strands of a rope at all pixels; return their number, `of` and `seen`."""
+def _stamp(rope: Array, newest: Array, strands: Array, size: int) -> Any:
+    """Find the strands of a rope at all pixels; return their number, and them."""
     count, n = 0, len(rope)
     for i in range(n):
         j = (i + 1) % n
@@ -156,8 +158,8 @@ def _stamp(rope: Array, first: Array, of: Array, seen: Array, size: int) -> Any:
         top, bottom = _range(y, dy, reach, size)
         left, right = _range(x, dx, reach, size)
         # here, as arrays that are replaced in the inner loop are slow
-        while count + (bottom - top) * (right - left) > len(of):
-            of, seen = _doubled(of, seen)
+        while count + (bottom - top) * (right - left) > len(strands):
+            strands = _doubled(strands)
         # half of what a row cuts out of the piece, however far it went on; beside that all is free
         slope, wide = (dx / dy, reach * np.sqrt(square) / abs(dy)) if dy != 0.0 else (0.0, np.inf)
         for row in range(top, bottom):
@@ -182,20 +184,20 @@ def _stamp(rope: Array, first: Array, of: Array, seen: Array, size: int) -> Any:
                     ex, ey = px - t * dx, py - t * dy
                     rank = z + t * dz + np.sqrt(max(here * here - ex * ex - ey * ey, 0.0))
                 pixel = row * size + column
-                strand = first[pixel]
-                while strand >= 0 and of[strand, 3] < i - 1:
-                    strand = of[strand, 0]
+                strand = newest[pixel]
+                while strand >= 0 and strands[strand].last < i - 1:
+                    strand = strands[strand].before
                 if strand < 0:
-                    strand = count
+                    one = strands[count]
+                    one.before, one.pixel, one.first = newest[pixel], pixel, i
+                    one.cover, one.rank = 0.0, -np.inf
+                    newest[pixel] = strand = count
                     count += 1
-                    of[strand, 0], of[strand, 1], of[strand, 2] = first[pixel], pixel, i
-                    seen[strand, 0], seen[strand, 1] = 0.0, -np.inf
-                    first[pixel] = strand
-                of[strand, 3] = i
-                seen[strand, 0] = max(seen[strand, 0], cover)
-                if rank > seen[strand, 1]:
-                    of[strand, 4], seen[strand, 1], seen[strand, 2] = i, rank, z + t * dz
-    return count, of, seen
+                one = strands[strand]
+                one.last, one.cover = i, max(one.cover, cover)
+                if rank > one.rank:
+                    one.top, one.rank, one.height = i, rank, z + t * dz
+    return count, strands
 
 
 @inner
@@ -207,20 +209,16 @@ def _range(start: float, step: float, reach: float, size: int) -> tuple[int, int
 
 
 @inlined
-def _doubled(of: NDArray[np.int32], seen: NDArray[np.float64]) -> Any:
-    """Return `of` and `seen` with room for twice as many strands."""
-    strands = len(of)
-    more_of, more_seen = np.empty((2 * strands, 5), np.int32), np.empty((2 * strands, 3))
-    for strand in range(strands):  # assigning slices would take seconds to compile
-        for column in range(5):
-            more_of[strand, column] = of[strand, column]
-        for column in range(3):
-            more_seen[strand, column] = seen[strand, column]
-    return more_of, more_seen
+def _doubled(strands: Array) -> Array:
+    """Return the strands with room for twice as many."""
+    more = np.empty(2 * len(strands), _STRAND)
+    for strand in range(len(strands)):  # assigning slices would take seconds to compile
+        more[strand] = strands[strand]
+    return more
 
 
 @inlined
-def _cut(rope: Array, band: Array, first: Array, of: Array, seen: Array, size: int) -> None:
+def _cut(rope: Array, band: Array, newest: Array, strands: Array, size: int) -> None:
     """Cut what lies below a band, see `paint`: cover it less."""
     n, (middle, half, radius, level, spared) = len(rope), band
     start, stop = int(np.ceil(middle - half - 0.5)), int(np.floor(middle + half - 0.5)) + 1
@@ -233,7 +231,7 @@ def _cut(rope: Array, band: Array, first: Array, of: Array, seen: Array, size: i
     top, bottom = _range(low_y, high_y - low_y, radius + 0.5, size)
     for row in range(top, bottom):
         for column in range(left, right):
-            strand = first[row * size + column]
+            strand = newest[row * size + column]
             if strand < 0:
                 continue
             nearest = np.inf
@@ -246,75 +244,78 @@ def _cut(rope: Array, band: Array, first: Array, of: Array, seen: Array, size: i
                 nearest = min(nearest, ex * ex + ey * ey)
             left_over = min(max(np.sqrt(nearest) - radius + 0.5, 0.0), 1.0)
             while strand >= 0:
-                off = abs(of[strand, 4] + 0.5 - middle)
-                if seen[strand, 2] <= level and min(off, n - off) > half + spared:
-                    seen[strand, 0] *= left_over
-                strand = of[strand, 0]
+                one = strands[strand]
+                off = abs(one.top + 0.5 - middle)
+                if one.height <= level and min(off, n - off) > half + spared:
+                    one.cover *= left_over
+                strand = one.before
 
 
 @inlined
-def _close(newest: int, of: Array, seen: Array, n: int) -> None:
+def _close(newest: int, strands: Array, n: int) -> None:
     """Join the strands of a pixel that end with the last piece of the rope and begin with piece 0.
 
     The strand of piece 0 gets all; the other covers nothing from then on.
     """
-    end = newest
-    while end >= 0 and of[end, 3] != n - 1:
-        end = of[end, 0]
-    begin = newest
-    while begin >= 0 and of[begin, 2] != 0:
-        begin = of[begin, 0]
-    if end < 0 or begin < 0 or begin == end:
+    last = first = newest
+    while last >= 0 and strands[last].last != n - 1:
+        last = strands[last].before
+    while first >= 0 and strands[first].first != 0:
+        first = strands[first].before
+    if min(last, first) < 0 or first == last:
         return
-    seen[begin, 0] = max(seen[begin, 0], seen[end, 0])
-    if seen[end, 1] > seen[begin, 1]:
-        of[begin, 4], seen[begin, 1], seen[begin, 2] = of[end, 4], seen[end, 1], seen[end, 2]
-    seen[end, 0], seen[end, 2] = 0.0, -np.inf
+    begin, end = strands[first], strands[last]
+    begin.cover = max(begin.cover, end.cover)
+    if end.rank > begin.rank:
+        begin.top, begin.rank, begin.height = end.top, end.rank, end.height
+    end.cover, end.height = 0.0, -np.inf
 
 
 @inlined
-def _falling(newest: int, of: Array, seen: Array, order: Array) -> int:
+def _falling(newest: int, strands: Array, order: Array) -> int:
     """Sort the strands of a pixel into `order`, the highest first; return how many there are."""
     count, strand = 0, newest
     while strand >= 0:
         at = count
-        while at > 0 and seen[order[at - 1], 2] < seen[strand, 2]:
+        while at > 0 and strands[order[at - 1]].height < strands[strand].height:
             order[at] = order[at - 1]
             at -= 1
         order[at] = strand
         count += 1
-        strand = of[strand, 0]
+        strand = strands[strand].before
     return count
 
 
 @inlined
 def _blend(
-    count: int, first: Array, of: Array, seen: Array, colours: Array, depths: Any, image: Array
+    count: int, newest: Array, strands: Array, colours: Array, depths: Any, image: Array
 ) -> None:
     """Blend the strands of each pixel, the highest first, over its background."""
     size, order = len(image), np.empty(len(colours), np.int64)
-    for newest in range(count):
-        if first[of[newest, 1]] != newest:
+    for strand in range(count):
+        pixel = strands[strand].pixel
+        if newest[pixel] != strand:
             continue
-        strands, order[0] = 1, newest
-        if of[newest, 0] >= 0:
-            _close(newest, of, seen, len(order))
-            strands = _falling(newest, of, seen, order)
+        depth, order[0] = 1, strand
+        if strands[strand].before >= 0:
+            _close(strand, strands, len(order))
+            depth = _falling(strand, strands, order)
         red = green = blue = 0.0
         left = 1.0
-        for at in range(strands):
-            share, i = left * seen[order[at], 0], of[order[at], 4]
+        for at in range(depth):
+            one = strands[order[at]]
+            share, i = left * one.cover, one.top
             red += share * colours[i, 0]
             green += share * colours[i, 1]
             blue += share * colours[i, 2]
             left -= share
         # in place: a view of the pixel would take longer than what is done with it
-        row, column = of[newest, 1] // size, of[newest, 1] % size
+        row, column = pixel // size, pixel % size
         image[row, column, 0] = np.uint8(red + left * image[row, column, 0] + 0.5)
         image[row, column, 1] = np.uint8(green + left * image[row, column, 1] + 0.5)
         image[row, column, 2] = np.uint8(blue + left * image[row, column, 2] + 0.5)
         if image.shape[2] == 4 and left < 1.0:
-            nearer = min(max(0.5 + (seen[order[0], 2] - depths[0]) / depths[1], 0.0), 1.0)
+            nearer = min(max(0.5 + (strands[order[0]].height - depths[0]) / depths[1], 0.0), 1.0)
             image[row, column, 3] = np.uint8(1 + np.rint(254.0 * nearer))
 
 
