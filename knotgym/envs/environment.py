@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, InvalidInput
+from knotgym.common import Failed, InvalidInput, MissingExtra
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import Observer
 from knotgym.envs.tasks import TaskConfig
@@ -131,17 +131,12 @@ class _Window:
     """The window of render mode "human".
 
     Raises:
-        Failed: pygame isn't installed; from `show`, there is no display.
+        MissingExtra: pygame isn't installed.
+        Failed: from `show`, there is no display.
     """
 
     def __init__(self) -> None:
-        try:
-            import pygame
-        except ModuleNotFoundError as error:
-            raise Failed(
-                "render_mode 'human' needs pygame, which isn't installed: pip install pygame"
-            ) from error
-        self._pygame: Any = pygame
+        self._pygame = MissingExtra.imported("pygame", "pip install pygame", "render_mode 'human'")
         self._screen: Any = None
         self._side = 0.0
 

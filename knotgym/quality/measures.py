@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from knotgym.common import Stream, inner
 from knotgym.quality.limits import RESET_NOISE, Quality
-from knotgym.rendering import PictureConfig, project, strand_spacing
+from knotgym.rendering import PictureConfig, project
 from knotgym.rope import Array, noised
 from knotgym.topology import Crossings, GaussCode, faces, find_crossings, label_many
 
@@ -64,7 +64,7 @@ def measure(
     apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
     visits = zip(crossings.over_place, crossings.under_place, strict=True)
     angles = np.array([_angle(p, over, under) for over, under in visits])
-    spacing = strand_spacing(pixels, crossings.over_place, crossings.under_place, WALK)
+    spacing = crossings.strand_spacing(pixels, WALK)
     excess = float("nan") if quick else _average_crossing_number(p) - crossings.nx
     clearance = 1000 * float((crossings.over_z - crossings.under_z).min(initial=np.inf))
     return Quality(

@@ -8,11 +8,10 @@ from .camera import PictureConfig as PictureConfig
 from .camera import Views as Views
 from .camera import bead_colours as bead_colours
 from .camera import project as project
+from .diagram import Film as Film
 from .diagram import draw_diagram as draw_diagram
 from .photo import photograph as photograph
 from .picture import draw as draw
-from .picture import strand_spacing as strand_spacing
 from .variation import Appearance as Appearance
 from .variation import Drawer as Drawer
 from .variation import Drawn as Drawn
-from .video import Film as Film

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-_F = np.float32
+_F, _U = np.float32, np.uint32
 FAR = _F(1e9)  # squared distance of pixels that no piece is near
 UNDER, OVER, FIRST, LAST = 1, 2, 4, 8  # flags of a piece: its layers, and ends of the upper one
 CLOTH, WOOD, GRADIENT, NOISE = 0, 1, 2, 3
@@ -321,25 +321,23 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
         slope: float32 (2,), change of light over the picture, right and down, a share.
         deviation: of the noise, levels.
     """
-    size, byte = len(picture), np.uint32(255)
+    size, byte = len(picture), _U(255)
     scale = _F(deviation) / _F(147.8)  # the sum of four bytes deviates by so much
     for row in range(size):
         for column in range(size):
             # a hash of the pixel's number (Wellons' lowbias32)
-            x = np.uint32(seed + row * size + column)
-            x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D))
-            x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B))
-            x ^= x >> np.uint32(16)
-            y = np.uint32(x * np.uint32(0x9E3779B1))
-            low = (x & byte) + ((x >> np.uint32(8)) & byte) + ((x >> np.uint32(16)) & byte)
-            low += x >> np.uint32(24)
-            high = (y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte)
+            x = _U(seed + row * size + column)
+            x = _U((x ^ (x >> _U(16))) * _U(0x7FEB352D))
+            x = _U((x ^ (x >> _U(15))) * _U(0x846CA68B))
+            x ^= x >> _U(16)
+            y = _U(x * _U(0x9E3779B1))
+            low = (x & byte) + ((x >> _U(8)) & byte) + ((x >> _U(16)) & byte) + (x >> _U(24))
+            high = (y >> _U(24)) + ((y >> _U(16)) & byte)
             # a sum of four bytes has mean 510 and is nearly normal; two bytes, of colour, have mean
             # 255
             grey = _F(np.int32(low) - 510) * scale + _HALF
             tint = _F(np.int32(high) - 255) * scale * _HALF
-            light = 1 + slope[0] * (_F(column) / size - _HALF)
-            light += slope[1] * (_F(row) / size - _HALF)
+            light = 1 + slope[0] * (_F(column) / size - _HALF) + slope[1] * (_F(row) / size - _HALF)
             for c in range(3):
                 level = picture[row, column, c] * light * gain[c] + grey + _F(1 - c) * tint
                 picture[row, column, c] = np.uint8(min(max(level, _ZERO), _F(255)))

@@ -18,7 +18,6 @@ from knotgym.rendering.variation import Appearance, Rng, levels_of
 Array = NDArray[Any]
 
 SURFACES = ("cloth", "wood", "gradient", "noise")
-_BACKGROUNDS = (*SURFACES, "clutter", "ropes")
 WIDTHS = (3.0, 12.0)  # of the rope, px
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
 
@@ -135,7 +134,7 @@ class Photo(Appearance):
 def drawn_look(look: Photo, rng: Rng) -> Photo:
     """Draw everything but the frame and the rope's colours."""
     # The order of the draws is part of every photo: a new one belongs at the end.
-    kind = _BACKGROUNDS[rng.integers(len(_BACKGROUNDS))]
+    kind = (*SURFACES, "clutter", "ropes")[rng.integers(6)]
     surface = kind if kind in SURFACES else SURFACES[rng.integers(len(SURFACES))]
     if surface == "wood":
         first = _hsv(rng.uniform(18, 36), rng.uniform(0.3, 0.65), rng.uniform(0.3, 0.9))

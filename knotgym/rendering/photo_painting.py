@@ -20,7 +20,6 @@ from knotgym.common import Stream
 from knotgym.rendering import photo_kernels as kernels
 from knotgym.rendering.diagram import smooth_curve
 from knotgym.rendering.photo_look import LIMITS, SURFACES, Photo, drawn_dyes, lab, lengths, low_of
-from knotgym.rendering.picture import strand_spacing
 from knotgym.rendering.variation import Appearance, Drawn, Rng, levels_of
 from knotgym.topology import Crossings, Symmetry, canonical, find_crossings
 
@@ -150,7 +149,7 @@ class PhotoView:
             # a turn by 148 degrees: a fold whose arms touch can't be told from a small kink
             or ((self.along * self.along[further]).sum(axis=1) < -0.85).any()
             # strands of one bend or crossing, at most so long, may touch
-            or strand_spacing(flat, self.over, self.under, 4.5 * width) < width + gap
+            or self.rope.shown.strand_spacing(flat, 4.5 * width) < width + gap
         ):
             return 0.0
         self.stamp(0.5 * width)

@@ -1,4 +1,4 @@
-"""Pictures of a rope: the loop that draws it, and how near its strands come in them.
+"""Pictures of a rope: the loop that draws it.
 
 For the camera and the colours see `camera`. Bead i is a capsule from points[i] to points[(i + 1) %
 beads]. Colours are flat, without light or shadow. Depth is that of the rope's axis where it is
@@ -317,68 +317,3 @@ def _blend(
         if image.shape[2] == 4 and left < 1.0:
             nearer = min(max(0.5 + (strands[order[0]].height - depths[0]) / depths[1], 0.0), 1.0)
             image[row, column, 3] = np.uint8(1 + np.rint(254.0 * nearer))
-
-
-def strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
-    """Return the smallest distance in the picture, pixels, of vertices on different strands.
-
-    Two vertices are on different strands if every path between them along the drawing, straight on
-    or turning at crossings, is longer than `walk` pixels. Near a crossing the strands that cross
-    are connected by a short path, and don't count.
-
-    Args:
-        pixels: float64 (beads, 2), contiguous.
-        over, under: float64 (nx,), positions of the visits along the rope, beads.
-        walk: pixels.
-    """
-    length = np.sqrt(((np.roll(pixels, -1, axis=0) - pixels) ** 2).sum(axis=1))
-    along = np.append(0.0, np.cumsum(length))  # arc length at each vertex, and in total
-    # visits 2k and 2k + 1 belong to crossing k
-    at = np.interp(np.stack([over, under], axis=1).ravel(), np.arange(len(along)), along)
-    # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
-    # point of the picture, at distance 0.
-    visits, between = np.arange(len(at)), _round(at[:, None] - at, along[-1])
-    between[visits, visits ^ 1] = 0.0
-    # after round m, paths that turn at no visit beyond m are right
-    for m in visits:
-        between = np.minimum(between, between[:, m, None] + between[m])
-    straight = _round(along[:-1, None] - at, along[-1])
-    turning = (straight[:, :, None] + between).min(axis=1, initial=np.inf)
-    return _nearest(pixels, along, straight, turning, walk)
-
-
-def _round(gap: Array, total: float) -> Array:
-    """Return the shorter of the two ways round a closed curve."""
-    return np.minimum(np.abs(gap), total - np.abs(gap))
-
-
-@njit(cache=True, nogil=True)
-def _nearest(pixels: Array, along: Array, straight: Array, turning: Array, walk: float) -> float:
-    """Find the nearest vertices that no path as short as `walk` joins; return their distance.
-
-    Args:
-        pixels: float64 (beads, 2).
-        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
-        straight, turning: float64 (beads, visits), from vertices to visits along the drawing:
-            straight along the rope, and with turns at crossings.
-        walk: pixels.
-    """
-    nearest = np.inf
-    # from cheap to expensive: along the rope, in the picture, then through any crossing
-    for i in range(len(pixels)):
-        for j in range(i + 1, len(pixels)):
-            gap = along[j] - along[i]
-            gap = min(gap, along[-1] - gap)
-            if gap <= walk:
-                continue
-            dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
-            apart = np.sqrt(dx * dx + dy * dy)
-            if apart >= nearest:
-                continue
-            # a path that turns at crossings reaches j straight from the last of them, so those
-            # with turns are needed from i alone
-            for visit in range(straight.shape[1]):
-                gap = min(gap, turning[i, visit] + straight[j, visit])
-            if gap > walk:
-                nearest = apart
-    return nearest

@@ -20,12 +20,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
 from knotgym.topology.code_arrays import FINITE, CodeArrays
 from knotgym.topology.crossing_kernel import CROSSING, SAME, Columns, count_hits, scan
 from knotgym.topology.gauss import GaussCode, letters_of
+
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +61,33 @@ class Crossings:
     def over_points(self) -> NDArray[np.float64]:
         """Where the upper strands pass, float64 (n, 3), metres."""
         return np.column_stack([self.position, self.over_z])
+
+    def strand_spacing(self, pixels: NDArray[np.float64], walk: float) -> float:
+        """Return the smallest distance in the picture, pixels, of vertices on different strands.
+
+        Two vertices are on different strands if every path between them along the drawing,
+        straight on or turning at crossings, is longer than `walk` pixels. Near a crossing the
+        strands that cross are connected by a short path, and don't count.
+
+        Args:
+            pixels: float64 (beads, 2), contiguous; the vertices in a picture from above.
+            walk: pixels.
+        """
+        length = np.sqrt(((np.roll(pixels, -1, axis=0) - pixels) ** 2).sum(axis=1))
+        along = np.append(0.0, np.cumsum(length))  # arc length at each vertex, and in total
+        # visits 2k and 2k + 1 belong to crossing k
+        places = np.stack([self.over_place, self.under_place], axis=1).ravel()
+        at = np.interp(places, np.arange(len(along)), along)
+        # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
+        # point of the picture, at distance 0.
+        visits, between = np.arange(len(at)), _round(at[:, None] - at, along[-1])
+        between[visits, visits ^ 1] = 0.0
+        # after round m, paths that turn at no visit beyond m are right
+        for m in visits:
+            between = np.minimum(between, between[:, m, None] + between[m])
+        straight = _round(along[:-1, None] - at, along[-1])
+        turning = (straight[:, :, None] + between).min(axis=1, initial=np.inf)
+        return _nearest(pixels, along, straight, turning, walk)
 
 
 def find_crossings(points: ArrayLike) -> Crossings:
@@ -149,6 +179,49 @@ def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return visits, table
 
 
-def _gauss_code(visits: NDArray[Any], signs: NDArray[Any]) -> GaussCode:
+def _gauss_code(visits: Array, signs: Array) -> GaussCode:
     # what the kernel found needs no check that each label comes once over and once under
     return GaussCode.trusted(tuple(visits.tolist()), letters_of(signs.tolist()))
+
+
+def _round(gap: Array, total: float) -> Array:
+    """Return the shorter of the two ways round a closed curve."""
+    return np.minimum(np.abs(gap), total - np.abs(gap))
+
+
+@njit(cache=True, nogil=True)
+def _nearest(
+    pixels: NDArray[Any],
+    along: NDArray[Any],
+    straight: NDArray[Any],
+    turning: NDArray[Any],
+    walk: float,
+) -> float:
+    """Find the nearest vertices that no path as short as `walk` joins; return their distance.
+
+    Args:
+        pixels: float64 (beads, 2).
+        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
+        straight, turning: float64 (beads, visits), from vertices to visits along the drawing:
+            straight along the rope, and with turns at crossings.
+        walk: pixels.
+    """
+    nearest = np.inf
+    # from cheap to expensive: along the rope, in the picture, then through any crossing
+    for i in range(len(pixels)):
+        for j in range(i + 1, len(pixels)):
+            gap = along[j] - along[i]
+            gap = min(gap, along[-1] - gap)
+            if gap <= walk:
+                continue
+            dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
+            apart = np.sqrt(dx * dx + dy * dy)
+            if apart >= nearest:
+                continue
+            # a path that turns at crossings reaches j straight from the last of them, so those
+            # with turns are needed from i alone
+            for visit in range(straight.shape[1]):
+                gap = min(gap, turning[i, visit] + straight[j, visit])
+            if gap > walk:
+                nearest = apart
+    return nearest

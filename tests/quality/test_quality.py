@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.quality import measures
 from knotgym.quality.limits import UNAMBIGUOUS, UNTWISTED, Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
-from knotgym.rendering import PictureConfig, strand_spacing
+from knotgym.rendering import PictureConfig
 from knotgym.rope import Rope
 from knotgym.states import read_states, shipped
 from knotgym.topology import find_crossings
@@ -163,9 +163,7 @@ def test_strands_are_different_where_every_path_over_the_picture_is_long(
     row: int, walk: float
 ) -> None:
     points = np.roll(SHIPPED.points[row], 30, axis=0)  # short paths lead over the base too
-    crossings = find_crossings(points)
-    visits = crossings.over_place, crossings.under_place
-    found = strand_spacing(points[:, :2] / PIXEL, *visits, walk)
+    found = find_crossings(points).strand_spacing(points[:, :2] / PIXEL, walk)
     assert found == pytest.approx(spacing_by_graph(points, walk), rel=1e-9)
 
 

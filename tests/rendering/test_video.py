@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import MissingExtra
-from knotgym.rendering.video import FRAMES_PER_SECOND, Film
+from knotgym.rendering.diagram import FRAMES_PER_SECOND, Film
 from knotgym.rope import Rope
 
 from ..conftest import curled
