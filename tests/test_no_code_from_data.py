@@ -10,11 +10,10 @@ UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "
 
 # file -> why a module that it imports by a computed name isn't named by data
 IMPORTS = {
+    "common/errors.py": "libraries, names in the code",
     "control/own_policies.py": "module:name, which the user types; never from a file",
-    "datasets/image_table.py": "parts of pyarrow, names in the code",
     "prompting/chat.py": "the HTTP library of the client that is installed",
     "states/sources.py": "recipes of sources, named in the code; a file names a source, not code",
-    "loaders/converters.py": "libraries, names in the code",
     "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",
 }
 
