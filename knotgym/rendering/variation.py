@@ -175,7 +175,8 @@ class Drawer:
         width, zoom = self._framed(points, size, turn, drawn("width", *config.width, 1.0))
         # a rope larger than the range allows for is shown as large as fits
         most = _largest_zoom(points, turn, width)
-        zoom = drawn("zoom", *(min(end, most) for end in config.zoom), zoom)
+        low, high = config.zoom
+        zoom = drawn("zoom", min(low, most), min(high, most), zoom)
         kind = self.colours
         if "colours" in vary:
             kind = ("published", "single", "gradient")[int(rng.integers(3))]
