@@ -108,11 +108,11 @@ class Spectra(NamedTuple):
         return self._distances(self.square, others.square, best)
 
     def turned_distances(self, others: Spectra) -> Array:
-        """Compute `distances` from a single row to others: float64 (len(others),), metres."""
+        """Compute `distances` of all pairs: float64 (n, len(others)), metres."""
         # Parseval: a sum over beads of products is the sum over frequencies / beads
-        flat = np.abs(others.flat @ self.flat[0].conj())
-        agreement = flat + (others.upright @ self.upright[0].conj()).real
-        return self._distances(self.square, others.square, agreement / self.flat.shape[1])
+        flat = np.abs(self.flat.conj() @ others.flat.T)
+        agreement = flat + (self.upright.conj() @ others.upright.T).real
+        return self._distances(self.square[:, None], others.square, agreement / self.flat.shape[1])
 
     def take(self, rows: Any) -> Spectra:
         """Select rows, in the order given."""
@@ -214,7 +214,7 @@ def distances(points: Array, others: Array) -> Array:
     Returns:
         float64 (n,), root mean square distance of the beads, metres.
     """
-    return Spectra.of(points[None]).turned_distances(Spectra.of(others))
+    return Spectra.of(points[None]).turned_distances(Spectra.of(others))[0]
 
 
 def _negated(spectra: NDArray[Any]) -> NDArray[Any]:
@@ -247,18 +247,21 @@ def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
     few = points
     if len(points) > MOST:
         few = points[np.linspace(0, len(points) - 1, MOST).round().astype(int)]
-    spectra, turned, shapes = Spectra.of(few), list[Array](), list[Array]()
-    for k in range(len(few)):
-        own, rest = spectra.take(slice(k, k + 1)), spectra.take(slice(k + 1, None))
-        turned.append(own.turned_distances(rest))
-        shapes.append(own.pair_distances(rest, mirrors=False))
+    spectra = Spectra.of(few)
+    turned = spectra.turned_distances(spectra)[np.triu_indices(len(few), 1)]
+    shapes = [
+        spectra.take(slice(k, k + 1)).pair_distances(
+            spectra.take(slice(k + 1, None)), mirrors=False
+        )
+        for k in range(len(few))
+    ]
     centred = points - points.mean(axis=1, keepdims=True)
     gyration = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
     height = np.ptp(points[..., 2], axis=1)
     found = [find_crossings(one) for one in few]
     positions = [np.concatenate([one.over_place, one.under_place]) for one in found]
     return {
-        "distance": _median_and_minimum(np.concatenate(turned)),
+        "distance": _median_and_minimum(turned),
         "shape": _median_and_minimum(np.concatenate(shapes)),
         "gyration": [float(gyration.min()), float(gyration.max())],
         "height": [float(height.min()), float(height.max())],
