@@ -1,6 +1,6 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import TextWrapper, fill
 from typing import Any, TypeAlias
@@ -12,7 +12,6 @@ from rich.console import Console
 from knotgym.common import Failed, InvalidInput, atomic_write, require_output
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
-    CardTable,
     expanded,
     in_words,
     locate,
@@ -57,7 +56,16 @@ def show(named: str, console: Console) -> None:
     lines, tables = summary(found)
     for line in [f"{named}: {lines[0]}", *lines[1:]]:
         _say(console, line)
-    _print_tables(tables, console)
+    for one in tables.values():
+        title: str | None = one.title
+        for chosen in _parts([one.head, *one.rows]) if one.rows else ():
+            shown = narrow_table([one.head[k] for k in chosen], title=title, left=one.left)
+            for row in one.rows:
+                shown.add_row(*(str(row[k]) for k in chosen))
+            console.print(shown)
+            title = None
+        if one.rows and one.says:
+            _say(console, one.says)
 
 
 def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
@@ -156,25 +164,9 @@ def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
                 _say(console, line)
 
 
-def _print_tables(tables: Mapping[str, CardTable], console: Console) -> None:
-    for one in tables.values():
-        if not one.rows:
-            continue
-        title: str | None = one.title
-        for chosen in _parts(one):
-            shown = narrow_table([one.head[k] for k in chosen], title=title, left=one.left)
-            for row in one.rows:
-                shown.add_row(*(str(row[k]) for k in chosen))
-            console.print(shown)
-            title = None
-        if one.says:
-            _say(console, one.says)
-
-
-def _parts(table: CardTable) -> list[list[int]]:
+def _parts(rows: Sequence[Sequence[object]]) -> list[list[int]]:
     """Deal the columns of a table to parts of 80 characters, each of which repeats the first."""
-    cells = zip(*([table.head, *table.rows]), strict=True)
-    widths = [max(len(str(cell)) for cell in column) + _GAP for column in cells]
+    widths = [max(len(str(cell)) for cell in column) + _GAP for column in zip(*rows, strict=True)]
     parts = [[0]]
     for k, width in enumerate(widths[1:], 1):
         if len(parts[-1]) > 1 and sum(widths[one] for one in parts[-1]) + width > _WIDTH:

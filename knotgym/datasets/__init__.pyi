@@ -1,5 +1,4 @@
 from .all_faults import faults as faults
-from .cards import CardTable as CardTable
 from .cards import in_words as in_words
 from .cards.folder_cards import finish_images as finish_images
 from .cards.folder_cards import finish_states as finish_states
@@ -7,7 +6,6 @@ from .cards.folder_cards import suite_card as suite_card
 from .cards.folder_cards import summary as summary
 from .episode_dataset import EpisodeDataset as EpisodeDataset
 from .episode_dataset import columns_of as columns_of
-from .episode_dataset import digests_of as digests_of
 from .episode_dataset import open_episodes as open_episodes
 from .episode_dataset import write_episodes as write_episodes
 from .episode_verification import expanded as expanded

@@ -122,6 +122,11 @@ class EpisodeDataset:
         return {k: self.attributes[k] for k in _KEPT_FACTS if k in self.attributes}
 
     @property
+    def digests(self) -> dict[str, str]:
+        """The digests of its episodes as they are, by the names of the file's attributes."""
+        return digests_of([self.episodes])
+
+    @property
     def numbers(self) -> NDArray[np.int64]:
         """The numbers of the episodes in their file, int64 (n,)."""
         return np.arange(self.episodes.episodes.rows) if self.rows is None else self.rows
@@ -149,7 +154,7 @@ class EpisodeDataset:
         rows = self.episodes.episodes.rows
         if not 0 < sample < rows:
             return self
-        content = int(digests_of([self.episodes])["digest"][:12], 16)
+        content = int(self.digests["digest"][:12], 16)
         rng = Stream.CHECKED_EPISODES.generator(content)
         return self.select(np.sort(rng.choice(rows, sample, replace=False)))
 

@@ -186,7 +186,7 @@ def _digest_faults(dataset: EpisodeDataset) -> Iterator[str]:
     if dataset.rows is not None or dataset.parts:
         return  # a part of a file has no digest
     whats = {"digest": "starts and pulls", "advice": "expert's actions"}
-    now = digests_of([dataset.episodes])
+    now = dataset.digests
     for name, what in whats.items():
         if name in now and dataset.attributes.get(name) != now[name]:
             yield f"{dataset.path}: its {what} don't match their digest"

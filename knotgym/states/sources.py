@@ -5,7 +5,7 @@ checks by it what led to a row. Commands and files may name no other source.
 """
 
 from collections.abc import Callable
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 from knotgym.common import InvalidInput, Stream
@@ -47,12 +47,9 @@ class Source(NamedTuple):
 
     def function(self, which: str) -> Callable[..., Any]:
         """Return `rows` or `splits`, imported if it is named."""
-        found = getattr(self, which)
-        if isinstance(found, str):
-            module, _, name = found.partition(":")
-            found = getattr(import_module(module), name)
-        assert callable(found)  # GenerateConfig refuses sources that have none
-        return found
+        found: Any = getattr(self, which)
+        assert found is not None  # GenerateConfig refuses sources that have none
+        return resolve_name(found) if isinstance(found, str) else found
 
 
 _ROPES = "All frames of a rope are in one split."

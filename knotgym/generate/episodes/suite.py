@@ -28,7 +28,7 @@ from knotgym.common import (
     require_output,
 )
 from knotgym.control import replay
-from knotgym.datasets import EpisodeDataset, digests_of, expanded, open_episodes, suite_card
+from knotgym.datasets import EpisodeDataset, expanded, open_episodes, suite_card
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
 from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.generate.episodes.recordings import Recording, first_difference
@@ -151,7 +151,7 @@ def _describe_set(made: Path) -> dict[str, Any]:
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
-    digests, agreement = digests_of([episodes]), "no"
+    digests, agreement = dataset.digests, "no"
     if recording := Recording.read_all().get(dataset.name):
         first = first_difference(episodes, recording)
         agreement = "same" if first is None else f"differs from episode {first}"

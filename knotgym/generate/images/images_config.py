@@ -1,5 +1,6 @@
 """The configuration of `knotgym images`."""
 
+from pkgutil import resolve_name
 from typing import Annotated, Any
 
 from pydantic import Field, NonNegativeInt, PositiveInt
@@ -103,6 +104,6 @@ class ImagesConfig:
 
         What this configuration holds out for the other splits is held out.
         """
-        from knotgym.generate.images.image_recipe import picture_block  # which imports this module
-
-        return picture_block(self, number, count, seed)
+        # by its name, as it imports this module
+        block = resolve_name("knotgym.generate.images.image_recipe:picture_block")
+        return block(self, number, count, seed)
