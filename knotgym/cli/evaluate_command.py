@@ -1,4 +1,4 @@
-"""The command `knotgym evaluate`."""
+"""The commands `knotgym evaluate` and `knotgym compare`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -6,10 +6,14 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from knotgym.cli.options import RUN, Given, as_typed, command, field_help
-from knotgym.common import one_line
+from knotgym.common import InvalidInput, one_line
 from knotgym.control import PolicyConfig
 from knotgym.generate import EvaluateConfig
 
+Files = Annotated[
+    list[Path] | None,
+    Parameter(name="FILES", help="Files of `knotgym evaluate --record` or --out."),
+]
 Policies = Annotated[
     list[str] | None,
     Parameter(help=f"{field_help(PolicyConfig, 'policy')} May be repeated; random by default."),
@@ -56,6 +60,28 @@ def evaluate(
         ]
     config = given.config(EvaluateConfig, more)
     evaluate(config, given.run, out=out, video=video, record=record, progress=given.progress)
+
+
+@command({}, "")
+def compare(given: Given, files: Files = None, /) -> None:
+    """Compare results: differences of success rates with intervals.
+
+    For each task, number of crossings and split, every result is compared with the first one, and
+    paired by episode where starts are the same. "better" is the probability that it has the higher
+    rate on new states. Entries (--record) are replayed first.
+
+    Examples:
+
+        knotgym compare clone.h5 random.h5
+    """
+    from knotgym.generate import compare as run
+    from knotgym.runs import compile_first
+
+    if not files:
+        raise InvalidInput("name files of `knotgym evaluate --record` or --out")
+    compile_first(given.progress)
+    given.progress.stage("replaying entries")
+    run(files, given.progress.console)
 
 
 def _trained_on(given: Given, policies: list[str]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The commands `knotgym generate` and `knotgym images`."""
+"""The command `knotgym generate`."""
 
 from collections.abc import Sequence
 from importlib.resources import files
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.cli.options import RUN, Given, Numbers, as_typed, command, numbers, run_folder
+from knotgym.cli.options import RUN, Given, Numbers, command, numbers, run_folder
 from knotgym.common import InvalidInput, Stream
-from knotgym.generate import GenerateConfig, ImagesConfig
+from knotgym.generate import GenerateConfig
 from knotgym.topology import UNKNOT, GaussCode, parse_codes
 
 HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
@@ -99,43 +99,3 @@ def _code_list(
     if count is None or count >= len(kept):
         return kept
     return [kept[row] for row in sorted(rng.choice(len(kept), count, replace=False))]
-
-
-@command(
-    {"": ImagesConfig},
-    "nx count appearance.name=--appearance appearance.vary=--vary appearance.sizes=--size"
-    f" engine {RUN}",
-)
-def images(given: Given, *, out: Path | None = None, states: str | None = None) -> None:
-    """Generate labelled pictures for perception.
-
-    Each comes with its Gauss code, crossings, rope coordinates and a grade of difficulty. Needs the
-    extra huggingface: pip install '.[huggingface]'.
-
-    Examples:
-
-        knotgym images --nx 0-4 --count 20000
-
-        knotgym images --nx 2,3 --count 500 --vary all --size 64,128
-
-        knotgym images --nx 3,4 --count 100 --appearance line
-
-        knotgym images --nx 1-4 --count 1000 --appearance photo --size 256
-
-    Args:
-        out: Folder to write; by default knotgym-data/images-nx0-4 for --nx 0-4.
-        states: Start from a set of states: readable (default), bench, random-walk or hard-unknots,
-            which are included; or a states.h5.
-    """
-    from knotgym.generate import make_images
-    from knotgym.states import is_bundled
-
-    config, usual = given.config(ImagesConfig), ImagesConfig().appearance.name
-    marks = [f"images-nx{as_typed(config.nx)}"]
-    if states:
-        whence = states if is_bundled(states) else Path(states).absolute().parent.name
-        marks.append(f"from-{whence}")
-    marks += [name for name in (config.appearance.name,) if name != usual]
-    marks += ["varied"] * bool(config.appearance.vary)
-    folder = run_folder(out, "-".join(marks))
-    make_images(config, folder, given.run, states=states, progress=given.progress)

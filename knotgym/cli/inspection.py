@@ -44,14 +44,14 @@ def show(named: str, console: Console) -> None:
         _print_facts(facts, console)
         if rows:
             table = narrow_table(rows[0], left=rows[0][:1])
-            for row in rows[1:]:
-                table.add_row(*row)
+            for cells in rows[1:]:
+                table.add_row(*cells)
             console.print(table)
         return
     found = locate(named)
     if found.kind == "episodes":
-        for one in found.episodes:
-            _print_facts(show_episodes(one), console)
+        for path in found.episodes:
+            _print_facts(show_episodes(path), console)
         return
     lines, tables = summary(found)
     for line in [f"{named}: {lines[0]}", *lines[1:]]:

@@ -34,7 +34,7 @@ COMMANDS = {
     "doctor": "Compare digests of a fixed list with those recorded, in a minute.",
 }
 
-_BESIDE = {"suite": "collect", "images": "generate"}  # commands in the module of another
+_BESIDE = {"suite": "collect", "compare": "evaluate"}  # commands in the module of another
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -23,7 +23,6 @@ import inspect
 import json
 import os
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -33,12 +32,11 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidPolicy, KnotgymError, one_line
-from knotgym.control.basic_policies import ActionPlayer
+from knotgym.common import InvalidPolicy, one_line
+from knotgym.control.basic_policies import ActionPlayer, invalid_policy, user_code
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.sampler import Ids, Player, Policy, PolicyFamily, Pulls, SimplePolicy
+from knotgym.control.sampler import Ids, Player, Policy, Pulls, SimplePolicy
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.loaders import RowPolicy
 from knotgym.rope import ActionView
 
 
@@ -101,7 +99,7 @@ class _OwnPlayer(ActionPlayer):
 class _RowPlayer(ActionPlayer):
     """Acts by a model of a library, see `loaders.as_policy`."""
 
-    def __init__(self, name: str, given: RowPolicy, batch: EpisodeBatch) -> None:
+    def __init__(self, name: str, given: Any, batch: EpisodeBatch) -> None:
         super().__init__(batch, name, ActionView(given.action, batch.simulation))
         self._given = given
 
@@ -128,7 +126,7 @@ class _GuardedPlayer(Player):
             return self._player.act(ids)
 
 
-def _load(config: PolicyConfig) -> Policy:
+def load(config: PolicyConfig) -> Policy:
     """Import a module and make a policy of its attribute.
 
     A module that isn't installed is looked for in the current folder. That folder is on the path
@@ -147,7 +145,9 @@ def _load(config: PolicyConfig) -> Policy:
     except (ImportError, AttributeError, SyntaxError) as error:
         raise InvalidPolicy(f"no policy {name}: {one_line(error)}") from error
     except (Exception, SystemExit) as error:
-        raise _invalid(name, error) from error
+        raise invalid_policy(name, error) from error
+    from knotgym.loaders import RowPolicy  # here, as few policies are models
+
     if isinstance(given, RowPolicy):
         # a decision is carried out by pulls, which are what the environment gets
         action = "pull" if given.action == "decision" else given.action
@@ -164,7 +164,7 @@ def _load(config: PolicyConfig) -> Policy:
     return SimplePolicy(name, partial(_GuardedPlayer, name, given), compatible_task)
 
 
-def _files(name: str) -> dict[str, Path]:
+def files(name: str) -> dict[str, Path]:
     """Return the source files of a policy module:name, and the module's FILES, by their names.
 
     For a module in a package, the sources are those of the top package; other files that it imports
@@ -182,11 +182,11 @@ def _files(name: str) -> dict[str, Path]:
     if not spec.submodule_search_locations:
         return found | {own.name: own}
     # the whole package: which of its modules the policy uses isn't known without running it
-    files = own.parent.rglob("*.py")
-    return found | {path.relative_to(own.parent.parent).as_posix(): path for path in files}
+    sources = own.parent.rglob("*.py")
+    return found | {path.relative_to(own.parent.parent).as_posix(): path for path in sources}
 
 
-def _card(name: str) -> dict[str, Any] | None:
+def card_of(name: str) -> dict[str, Any] | None:
     """Return a copy of the CARD of the module of a policy module:name; None if it has none.
 
     Raises:
@@ -218,27 +218,6 @@ def _current_folder(package: str) -> Iterator[None]:
         sys.path[:] = searched
 
 
-@contextmanager
-def user_code(name: str) -> Iterator[None]:
-    """Run user code; re-raise what it raises, even by `sys.exit`, as InvalidPolicy."""
-    try:
-        yield
-    except KnotgymError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise _invalid(name, error) from error
-
-
-def _invalid(name: str, error: BaseException) -> InvalidPolicy:
-    """One line that names the policy, the error, and where it was raised."""
-    # the innermost frame is where the user's code, or a library that it called, went wrong
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    return InvalidPolicy(
-        f"policy {name} raised {type(error).__name__}: {one_line(error)} ({place})"
-    )
-
-
 def _takes(function: Callable[..., Any], counts: tuple[int, ...]) -> int | None:
     """The first of these numbers of positional arguments that a function accepts, or None."""
     try:
@@ -252,8 +231,3 @@ def _takes(function: Callable[..., Any], counts: tuple[int, ...]) -> int | None:
             continue
         return count
     return None
-
-
-OWN_CODE = PolicyFamily(
-    form="module:name", make=_load, matches=lambda name: ":" in name, files=_files, card=_card
-)

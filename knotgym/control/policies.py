@@ -23,11 +23,11 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from knotgym.common import InvalidPolicy, one_line, require_regular
-from knotgym.control.basic_policies import RandomPlayer
-from knotgym.control.own_policies import OWN_CODE, own_policy, user_code
+from knotgym.control.basic_policies import RandomPlayer, user_code
 from knotgym.control.planning.pass_policies import (
     MixedPlayer,
     NoisyPlayer,
@@ -38,7 +38,6 @@ from knotgym.control.planning.pass_policies import (
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.planning.planners import PassPlayer, PullPlayer, chooses_pulls
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.recorded_policy import RECORDED
 from knotgym.control.sampler import Player, Policy, PolicyFamily, SimplePolicy, rollouts
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import CHAIN
@@ -100,7 +99,7 @@ def _rows() -> Iterator[PolicyFamily]:
     """Yield the table; entry points are read only if no row before them has the name."""
     yield from _table.values()
     yield from _entry_point_families()
-    yield OWN_CODE
+    yield _OWN_CODE
 
 
 def _family(name: str) -> PolicyFamily:
@@ -132,7 +131,14 @@ def compile_planning() -> None:
 
 
 def _constant(config: PolicyConfig) -> Policy:
+    from knotgym.control.own_policies import own_policy
+
     return own_policy(lambda seen: [1.0] * 6, "constant")
+
+
+def _later(name: str) -> Callable[..., Any]:
+    """Return a function of a module of this room, which is imported when it is called."""
+    return lambda *given: resolve_name(f"knotgym.control.{name}")(*given)
 
 
 def _planned(
@@ -161,6 +167,18 @@ for _row in (
     _planned("play", PlayPlayer, is_endless),
     _planned("planner", lambda config, batch: PullPlayer(config.planner, batch)),
     _planned("mixed", MixedPlayer),
-    RECORDED,
+    PolicyFamily(
+        form="recorded:DATASET",
+        make=_later("recorded_policy:load"),
+        matches=lambda name: name.startswith("recorded:"),
+        files=_later("recorded_policy:files"),
+    ),
 ):
     register_policy(_row)
+_OWN_CODE = PolicyFamily(
+    form="module:name",
+    make=_later("own_policies:load"),
+    matches=lambda name: ":" in name,
+    files=_later("own_policies:files"),
+    card=_later("own_policies:card_of"),
+)

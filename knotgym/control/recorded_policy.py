@@ -16,8 +16,8 @@ import numpy as np
 
 from knotgym.common import InvalidPolicy, KnotgymError, Table
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.sampler import Ids, Player, PolicyFamily, Pulls, SimplePolicy, rollouts
-from knotgym.datasets import MACROS, Episodes, faults, locate, open_episodes
+from knotgym.control.sampler import Ids, Player, Pulls, SimplePolicy, rollouts
+from knotgym.datasets import MACROS, Episodes, open_episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 
 _PREFIX = "recorded:"  # of a policy's name; a dataset's id or path follows
@@ -59,6 +59,8 @@ def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
 
 def dataset_faults(source: str | os.PathLike[str], *given: Any, **named: Any) -> Iterator[str]:
     """Yield the faults that `verify` lists as soon as they are found; arguments as of `faults`."""
+    from knotgym.datasets import faults, locate  # here, as replays need neither
+
     return faults(locate(os.fspath(source)), replay, *given, **named)
 
 
@@ -106,7 +108,7 @@ class _RecordedPlayer(Player):
         return Pulls(ids, steps["bead"][at].astype(np.int64), np.array(steps["force"][at]), macros)
 
 
-def _load(config: PolicyConfig) -> SimplePolicy:
+def load(config: PolicyConfig) -> SimplePolicy:
     name = config.policy
     try:
         episodes = open_episodes(name.removeprefix(_PREFIX)).episodes
@@ -115,7 +117,7 @@ def _load(config: PolicyConfig) -> SimplePolicy:
     return SimplePolicy(name, partial(_RecordedPlayer, episodes, name))
 
 
-def _files(name: str) -> dict[str, Path]:
+def files(name: str) -> dict[str, Path]:
     path = open_episodes(name.removeprefix(_PREFIX)).path
     return {path.name: path}
 
@@ -124,11 +126,3 @@ def _key(start_qpos: np.ndarray, goal_visits: np.ndarray) -> _Key:
     # padding differs from file to file, so zeros are left out
     visits = np.ascontiguousarray(goal_visits, dtype=np.int16)
     return np.ascontiguousarray(start_qpos).tobytes(), visits[visits != 0].tobytes()
-
-
-RECORDED = PolicyFamily(
-    form=f"{_PREFIX}DATASET",
-    make=_load,
-    matches=lambda name: name.startswith(_PREFIX),
-    files=_files,
-)

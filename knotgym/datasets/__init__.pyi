@@ -1,9 +1,9 @@
 from .all_faults import faults as faults
+from .cards import finish_images as finish_images
+from .cards import finish_states as finish_states
 from .cards import in_words as in_words
-from .cards.folder_cards import finish_images as finish_images
-from .cards.folder_cards import finish_states as finish_states
-from .cards.folder_cards import suite_card as suite_card
-from .cards.folder_cards import summary as summary
+from .cards import suite_card as suite_card
+from .cards import summary as summary
 from .episode_dataset import EpisodeDataset as EpisodeDataset
 from .episode_dataset import columns_of as columns_of
 from .episode_dataset import open_episodes as open_episodes

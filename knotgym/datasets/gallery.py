@@ -3,7 +3,7 @@
 import os
 from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from knotgym.common import Counts
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import decode, read_table
-from knotgym.datasets.located import Located
-from knotgym.rendering import Film, draw_diagram
+from knotgym.rendering import draw_diagram
 from knotgym.states import States, read_states
+
+if TYPE_CHECKING:
+    from knotgym.datasets.located import Located
 
 SHOWN = 64  # maximum number of episodes or pictures in a gallery
 _WHITE = (225, 225, 225)
@@ -64,11 +65,11 @@ def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     Path(path).write_bytes(bytes(data))
 
 
-def write_sheet(path: Path, found: Located) -> str:
+def write_sheet(path: Path, found: "Located") -> str:
     """Write the contact sheet of states, episodes or pictures; return a one-line summary."""
     if found.pictures:
-        tiles, what = _picture_tiles(found.pictures), "pictures"
-        count = len(read_table(found.pictures, columns=["nx"]))
+        tiles, count = _picture_tiles(found.pictures)
+        what = "pictures"
     elif found.states:
         tiles, what = state_tiles(read_states(found.states, images=False)), "states"
         count = len(tiles)
@@ -102,6 +103,7 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 
     The sample is even over datasets, crossings of goals, and outcomes.
     """
+    from knotgym.rendering import Film  # here, as states need no films
 
     opened, tiles = [columns_of(dataset) for dataset in datasets], list[Tile]()
     every, strata = list[tuple[int, int]](), list[tuple[int, int, bool]]()
@@ -127,17 +129,20 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
     return tiles
 
 
-def _picture_tiles(table: str | os.PathLike[str]) -> list[Tile]:
-    """Return a sample of SHOWN pictures of a perception table, even over splits and nx."""
+def _picture_tiles(table: str | os.PathLike[str]) -> tuple[list[Tile], int]:
+    """Return a sample of SHOWN pictures of a perception table, even over splits and nx, of all."""
+    from knotgym.datasets.image_table import decode, read_table
+
     found = read_table(table, columns=["image", "gauss_code_chiral", "split", "nx"])
     rows = sample([*zip(found["split"].to_pylist(), found["nx"].to_pylist(), strict=True)])
-    return [
+    tiles = [
         Tile(
             np.asarray(cv2.resize(decode(row["image"]["bytes"]), (_TILE, _TILE)), np.uint8),
             (row["gauss_code_chiral"] or "loop", f"{row['split']}  nx {row['nx']}"),
         )
         for row in found.take(rows).to_pylist()
     ]
+    return tiles, len(found)
 
 
 def sample(strata: Sequence[Hashable], most: int = SHOWN) -> list[int]:

@@ -14,7 +14,7 @@ import pytest
 from knotgym.common import Failed, InvalidInput, Stream, from_json
 from knotgym.control import dataset_faults
 from knotgym.datasets import Episodes, open_episodes
-from knotgym.generate.states import demonstrations, drawing_source, generate_config
+from knotgym.generate.states import drawing_source, generate_config, state_recipe
 from knotgym.generate.states.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.play_source import PhasedPulls, _ropes_of, rows_of_ropes
@@ -185,7 +185,7 @@ def test_demonstrations_end_in_the_codes_of_the_set(drawn: Path) -> None:
 def test_a_code_without_demonstration_is_named_in_the_card(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("knotgym.generate.states.demonstrations.HORIZON", 1)
+    monkeypatch.setattr("knotgym.generate.states.state_recipe.HORIZON", 1)
     config = replace(DRAWN, nx=(1,), count=1, every_code=0, demonstration_attempts=1)
     folder = make_states(replace(config, demonstrations=True), tmp_path / "out", ALONE)
     code = str(states_in(folder).gauss_code[0])
@@ -242,9 +242,9 @@ def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_count
         found = whole.select(np.isin(whole.episodes["goal"], reached))
         return {**found.columns(), "episodes/seed": np.full(len(reached), attempt)}
 
-    monkeypatch.setattr(demonstrations, "_demonstrate", stub)
+    monkeypatch.setattr(state_recipe, "_demonstrate", stub)
     config = replace(DRAWN, demonstrations=True)
-    sets = compute(demonstrations._demonstrated(config, states, len(states), drawn / "states.h5"))
+    sets = compute(state_recipe._demonstrated(config, states, len(states), drawn / "states.h5"))
     rows = [one.episodes.episodes for one in sets]
     seeds = {int(row["goal"][k]): row["seed"][k] for row in rows for k in range(row.rows)}
     assert seeds == {0: 0, 1: 3, 2: 0}
@@ -256,7 +256,7 @@ def test_starts_of_demonstrations_are_apart_from_the_set_and_from_the_other_spli
 ) -> None:
     states = read_states(drawn / "states.h5")
     train = states.replaced({"split": np.full(len(states), "train")})
-    starts, split = compute(demonstrations._start_rows(DRAWN, train))
+    starts, split = compute(state_recipe._start_rows(DRAWN, train))
     assert set(split.tolist()) == {"train", "test"}
     assert pairs_within(starts["points"], train.points) == []
     sides = [starts["points"][split == name] for name in ("train", "test")]

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidPolicy
 from knotgym.control.planning.batched_search import BatchedSearch, Search
 from knotgym.control.planning.passes import PassPlan, PassSearch, PassValues, TriedPass
-from knotgym.control.planning.pulls import PullPlan, PullSearch
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -38,6 +37,9 @@ from knotgym.rope import (
     simulation_of,
 )
 from knotgym.topology import GaussCode, label
+
+if TYPE_CHECKING:
+    from knotgym.control.planning.pulls import PullPlan
 
 Ids = NDArray[np.int64]
 SLOTS = 12  # most slots that a search of a policy of passes takes
@@ -176,6 +178,8 @@ class PullPlayer(Player):
 
     def look(self, ids: Ids) -> None:
         """Begin searches where a plan is over and budget is left."""
+        from knotgym.control.planning.pulls import PullSearch  # here, as the expert needs none
+
         batch, config = self._batch, self._config
         for index in ids[~self._desk.thinking[ids]].tolist():
             used_up = self._spent[index] + config.batch_size > config.budget

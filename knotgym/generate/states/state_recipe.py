@@ -2,30 +2,48 @@
 
 rows of the sources, see `states.sources`  (they pass the filter and are new)
   -> splits -> states.h5 -> the expert's episodes to their codes -> gallery, card, manifest
+
+A demonstration starts at the simplest diagram of the knot, the plain loop for the unknot; loops are
+demonstrated from states with one crossing. If the rollout doesn't reach the code, others are made
+from other starts: by the expert, first in haste, and then by the planner.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import Table, as_json
-from knotgym.control import compile_planning
-from knotgym.datasets import finish_states
-from knotgym.generate.states.demonstrations import demonstrate
+from knotgym.common import Stream, Table, as_json
+from knotgym.control import PassPlannerConfig, PolicyConfig, compile_planning, make_policy, rollouts
+from knotgym.datasets import STARTS, Episodes, MinariMetadata, finish_states, publish
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.generate.states.drawing_source import CALLS, drawn_rows, splits_of
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import ROWS, joined, states_of
-from knotgym.runs import Progress, Recipe, RunOptions, compile_first, identity, run
-from knotgym.states import SOURCES, States, write_states
-from knotgym.topology import type_of
+from knotgym.rope import CHAIN, MUJOCO
+from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compile_first, identity, run
+from knotgym.states import SOURCES, STATE_SPLITS, States, write_states
+from knotgym.topology import UNKNOT, diagram_of, type_of
 
 # Settings that only say when a run gives up. A run may be resumed with others.
 _PATIENCE = ("attempts", "demonstration_attempts")
+HORIZON = 200  # actions, more than any demonstration needs
+_STARTS = 8  # drawn states that episodes start from, in both splits together
+# Episodes of a call, about. Few, because one that is hard takes long; but the chain engine steps
+# many ropes in little more time than one.
+_TOGETHER = {MUJOCO: 3, CHAIN: 12}
+# Rollouts of the expert before the planner's turn: the first are short, and most of them have a few
+# of its 60,000 pulls for a last resort, because another start takes less time. Of the eleven nx 4
+# goals that the first two left, the third reached eight, after at most 18,129 pulls; the fourth two
+# more, after 24,549 and 46,789. Most episodes have 15 to 45 actions.
+_HASTY, _SHORT = 2, 60
+_LAST_RESORT = (5000, 5000, 20000, 60000)
 
 
 def make_states(
@@ -76,7 +94,7 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
     states = states_of(rows, split, config.engine_used, made_by["config"])
     place.mkdir(parents=True)
     if config.demonstrations:
-        states = yield from demonstrate(config, states, place, report)
+        states = yield from _demonstrate_all(config, states, place, report)
     write_states(place / "states.h5", states)
     finish_states(place, states, report, made_by)
     return _summary(states, report)
@@ -104,3 +122,220 @@ def _summary(states: States, report: Mapping[str, Any]) -> str:
     codes = len(set(states.gauss_code.tolist()))
     shown = f", {report['demonstrations']} demonstrations" if "demonstrations" in report else ""
     return f"{len(states)} states of {codes} codes{shown}"
+
+
+def _demonstrate_all(
+    config: GenerateConfig, states: States, place: Path, report: dict[str, Any]
+) -> Recipe[States]:
+    """Demonstrate the codes of a set of states, in Minari datasets below the folder `place`.
+
+    Args:
+        config: of the run.
+        states: the set.
+        place: a folder, beside which a file for the workers is written.
+        report: gets the number of demonstrations, and the codes that have none.
+
+    Returns:
+        The states, with where their demonstrations are.
+    """
+    starts, sides = yield from _start_rows(config, states)
+    playing, path = states, place.parent / "with-starts.h5"
+    if starts.rows:
+        further = states_of(starts, sides, states.engine, states.attributes["config"])
+        playing = States(Table.joined([states.table, further.table]), states.attributes)
+    write_states(path, playing)
+    sets = yield from _demonstrated(config, playing, len(states), path)
+    states = _published(sets, config, states, place / "minari", path)
+    shown = states.source["dataset"] != ""
+    report["demonstrations"] = int(shown.sum())
+    lacking = ~shown & np.isin(states.nx, _demonstrated_nx(config))
+    report["undemonstrated"] = np.unique(states.gauss_code[lacking]).tolist()
+    return states
+
+
+class _Demonstrated(NamedTuple):
+    """The episodes with goals of one nx and split, in the order of the states."""
+
+    nx: int
+    split: str
+    episodes: Episodes
+
+
+def _start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, NDArray[np.str_]]]:
+    """Draw the states that demonstrations start from, where the set itself has none.
+
+    The set that ships has plain loops, so ties of the unknot need none.
+
+    Args:
+        config: of the run.
+        states: the set.
+
+    Returns:
+        The rows to start from, none near a state of the set, and their splits.
+    """
+    least, parts, splits = diagram_of(config.knot).nx, list[Table](), [states.split[:0]]
+    needed = {least} if max(config.nx) > least else set()
+    if 0 in config.nx:
+        needed.add(1)
+    for crossings in sorted(needed):
+        there = set(states.split[states.nx == crossings].tolist())
+        if there == set(STATE_SPLITS) or (not crossings and not there):
+            continue
+        starts = replace(
+            config,
+            nx=(crossings,),
+            count=_STARTS,
+            source="drawing",
+            engine=config.engine_used,
+            train_share=0.5,
+            every_code=0,
+            codes=(),
+            demonstrations=False,
+        )
+        others = [states.points, *(part["points"] for part in parts)]
+        rows = yield from drawn_rows(starts, {}, others, f"drawing starts, {crossings}")
+        parts.append(rows)
+        splits.append(splits_of(starts, rows))
+    return joined(parts), np.concatenate(splits)
+
+
+def _demonstrated_nx(config: GenerateConfig) -> list[int]:
+    """Return the numbers of crossings whose states are demonstrated.
+
+    The simplest diagrams of a knot are none; they are the starts. Loops are led to from curls.
+    """
+    least = diagram_of(config.knot).nx
+    return [nx for nx in config.nx if nx > least or not nx]
+
+
+def _demonstrated(
+    config: GenerateConfig, states: States, count: int, path: Path
+) -> Recipe[list[_Demonstrated]]:
+    """Demonstrate the codes of the first `count` states.
+
+    Args:
+        config: of the run.
+        states: those to demonstrate, then further ones to start from.
+        path: a file with these states, which workers can read.
+    """
+    made: dict[int, Episodes] = {}
+    kinds = [(nx, split) for nx in _demonstrated_nx(config) for split in STATE_SPLITS]
+    tasks = {kind: replace(_task_of(config, *kind), states=str(path)) for kind in kinds}
+    goals = {kind: [k for k in states.rows(*kind).tolist() if k < count] for kind in kinds}
+    attempt = 0
+    while (left := sum(map(len, goals.values()))) and attempt < config.demonstration_attempts:
+        size = min(_TOGETHER[config.engine_used], -(-left // CALLS))
+        # Patient attempts take long, so the last goals get several at once; the first that reaches
+        # a goal counts, as if the others had not been made.
+        after = attempt + (max(1, CALLS // left) if attempt >= _HASTY else 1)
+        calls = [
+            Call(
+                f"demonstrations, attempt {number}: {nx} {split} {part[0]}",
+                _demonstrate,
+                (tasks[nx, split], config.seed, part.tolist(), number),
+            )
+            for number in range(attempt, min(after, config.demonstration_attempts))
+            for (nx, split), rows in goals.items()
+            if rows
+            for part in np.array_split(rows, -(-len(rows) // size))
+        ]
+        for result in (yield calls):
+            episodes = Episodes.of(result)
+            for k, goal in enumerate(episodes.episodes["goal"].tolist()):
+                made.setdefault(goal, episodes.select([k]))
+        goals = {kind: [k for k in rows if k not in made] for kind, rows in goals.items()}
+        attempt = after
+    return [
+        _Demonstrated(nx, split, Episodes.merged([made[row] for row in rows]))
+        for nx in config.nx
+        for split in STATE_SPLITS
+        if (rows := [row for row in states.rows(nx, split).tolist() if row in made])
+    ]
+
+
+def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int) -> Result:
+    """Roll out a policy towards some goals; return the successful episodes as flat columns.
+
+    Args:
+        task: the task, whose states are a file.
+        seed: of the run.
+        goals: rows of that file.
+        attempt: number of the rollout; another start for each.
+    """
+    config = PolicyConfig(policy="planner")
+    if attempt < len(_LAST_RESORT):
+        expert = PassPlannerConfig(last_resort=_LAST_RESORT[attempt])
+        config = PolicyConfig(policy="expert", expert=expert)
+    if attempt < _HASTY:
+        task = replace(task, horizon=min(task.horizon, _SHORT))
+    batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
+    for index, goal in enumerate(goals):
+        own = Stream.DEMONSTRATED.derived_seed(seed, goal, attempt)
+        batch.begin(ids[index : index + 1], [own], {"goal": goal})
+    schema = STARTS.sized(nq=batch.start_qpos.shape[1])
+    columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)
+    starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
+    played = rollouts(make_policy(config), task, starts, attempt=attempt)
+    return played.select(played.episodes["success"]).columns()
+
+
+def _task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:
+    """Return the task of the demonstrations of states with nx crossings in a split."""
+    return TaskConfig(
+        task="tie" if nx else "unknot",
+        nx=max(1, nx),
+        split=split,
+        observation="both",
+        horizon=HORIZON,
+        engine=config.engine_used,
+    )
+
+
+def _dataset_id(nx: int, split: str, knot: str) -> str:
+    """Return the id of the Minari dataset that demonstrates the states of an nx, split and knot.
+
+    Demonstrations of loops (nx 0) are episodes of an unknot task, because nothing is tied.
+
+    >>> _dataset_id(3, "train", "0_1")
+    'knotgym/tie-nx3/demonstrations-v0'
+    >>> _dataset_id(0, "test", "0_1")
+    'knotgym/unknot-nx0/demonstrations-test-v0'
+    >>> _dataset_id(3, "train", "3_1")
+    'knotgym/tie-nx3-3_1/demonstrations-v0'
+    """
+    name = "demonstrations" if split == "train" else f"demonstrations-{split}"
+    knotted = "" if knot == UNKNOT else f"-{knot}"
+    return f"knotgym/{'tie' if nx else 'unknot'}-nx{nx}{knotted}/{name}-v0"
+
+
+def _published(
+    sets: Sequence[_Demonstrated], config: GenerateConfig, states: States, root: Path, path: Path
+) -> States:
+    """Publish each set as a Minari dataset; return the states with where they are demonstrated.
+
+    Args:
+        sets: the demonstrations.
+        config: of the run.
+        states: the set.
+        root: Minari root to write below.
+        path: file of the states that they were reset from.
+    """
+    knot, dataset = type_of(config.knot), [""] * len(states)
+    trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
+    for nx, split, episodes in sets:
+        rows, name = episodes.episodes, _dataset_id(nx, split, knot)
+        metadata = MinariMetadata(
+            dataset_id=name,
+            algorithm_name="expert",
+            description=(
+                f"Episodes of the expert that end in the Gauss codes of {rows.rows}"
+                f" rope states with {nx} crossings, those of the {split} split. An episode ends"
+                " where the rope first shows the code of its goal; the goal itself, another"
+                " configuration of that code, is in general not reached."
+            ),
+        )
+        publish([episodes], _task_of(config, nx, split), metadata, root, states=path)
+        for number, goal in enumerate(rows["goal"].tolist()):
+            dataset[goal], trajectory[goal], step[goal] = name, number, rows["length"][number]
+    columns = {"dataset": np.array(dataset), "trajectory": trajectory, "step": step}
+    return states.replaced({f"source/{name}": values for name, values in columns.items()})
