@@ -16,7 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Counts, InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
+from knotgym.common import (
+    Counts,
+    InvalidFile,
+    KnotgymError,
+    MissingFile,
+    Stream,
+    Table,
+    as_json,
+    one_line,
+)
 from knotgym.datasets.episode_dataset import EpisodeDataset, digests_of, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
@@ -49,15 +58,13 @@ def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
     Raises:
         InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
     """
-    parts, task = [], dataset.found_task
+    parts, task, rows = [], dataset.found_task, dataset.episodes.episodes.rows
     is_whole = dataset.rows is None and not dataset.parts
     for fault in _digest_faults(dataset):
         raise InvalidFile(fault)
-    for first in range(0, dataset.episodes.episodes.rows, _BLOCK):
-        Counts.tell("episodes played again", Counts.from_now(first), dataset.episodes.episodes.rows)
-        some = dataset.episodes.select(
-            np.arange(first, min(first + _BLOCK, dataset.episodes.episodes.rows))
-        )
+    for first in range(0, rows, _BLOCK):
+        Counts.tell("episodes played again", Counts.from_now(first), rows)
+        some = dataset.episodes.select(np.arange(first, min(first + _BLOCK, rows)))
         made = replay(some, task)
         own = made.episodes.replaced(planner_steps=some.episodes["planner_steps"])
         parts.append(made._replace(episodes=own))
@@ -150,35 +157,42 @@ def show_episodes(source: Any) -> dict[str, Any]:
 
 def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield the faults for which nothing else can be checked."""
-    rope, episodes = dataset.task.rope_config, dataset.episodes
+    rope, (own, steps) = dataset.task.rope_config, dataset.episodes
     if dataset.attributes.get("rope") != rope.fingerprint:
         yield (
             f"{dataset.path}: generated with rope model {dataset.attributes.get('rope')}, this"
             f" version has {rope.fingerprint}"
         )
-    for table in episodes:
-        for name, column in table.items():
-            if column.dtype.kind == "f" and not np.isfinite(column).all():
-                yield f"{dataset.path}: {name} contains a number that isn't finite"
-    steps, own = episodes.steps, episodes.episodes
-    if steps.rows and (
-        steps["bead"].max() >= dataset.task.beads or np.abs(steps["force"]).max() > 1
-    ):
-        yield f"{dataset.path}: a pull is of a bead or with a force that doesn't exist"
-    if "expert_action" in steps and np.abs(steps["expert_action"]).max(initial=0) > 1:
-        yield f"{dataset.path}: an expert's action lies outside [-1, 1]"
-    if (own["seed"] < -1).any() or (own["planner_steps"] < 0).any():
-        yield f"{dataset.path}: a seed or a number of planned pulls is negative"
-    if "macro_side" in steps:
-        side, bead = steps["macro_side"], steps["macro_bead"]
-        led = (bead == steps["bead"]) & (steps["macro_target"] < dataset.task.beads)
-        alone = (side == 0) & ~steps["macro_start"] & (bead == 0) & (steps["macro_target"] == 0)
-        if not np.where(side == 0, alone, led & (abs(side) == 1)).all():
-            yield f"{dataset.path}: a pull isn't one of the macro-action that it belongs to"
+    for name, column in [*own.items(), *steps.items()]:
+        if column.dtype.kind == "f" and not np.isfinite(column).all():
+            yield f"{dataset.path}: {name} contains a number that isn't finite"
+    advised = np.abs(steps.get("expert_action", np.zeros(0))).max(initial=0)
+    far = np.abs(steps["force"]).max(initial=0) > 1
+    wrong = {
+        "a pull is of a bead or with a force that doesn't exist": (
+            far or steps["bead"].max(initial=0) >= dataset.task.beads
+        ),
+        "an expert's action lies outside [-1, 1]": advised > 1,
+        "a seed or a number of planned pulls is negative": (
+            (own["seed"] < -1).any() or (own["planner_steps"] < 0).any()
+        ),
+        "a pull isn't one of the macro-action that it belongs to": (
+            "macro_side" in steps and not _fit_macros(steps, dataset.task.beads)
+        ),
+    }
+    yield from (f"{dataset.path}: {fault}" for fault, found in wrong.items() if found)
     missing = (own["goal"] < 0) | (own["start"] < 0)
     if missing.any():
         yield f"{dataset.path}, episode {missing.argmax()}: it names no start, or no goal"
     yield from _digest_faults(dataset)
+
+
+def _fit_macros(steps: Table, beads: int) -> bool:
+    """Whether each pull is of the bead that its macro-action leads, or of no macro-action."""
+    side, bead, target = (steps[f"macro_{name}"] for name in ("side", "bead", "target"))
+    led = (bead == steps["bead"]) & (target < beads) & (abs(side) == 1)
+    alone = ~steps["macro_start"] & (bead == 0) & (target == 0)
+    return bool(np.where(side == 0, alone, led).all())
 
 
 def _digest_faults(dataset: EpisodeDataset) -> Iterator[str]:

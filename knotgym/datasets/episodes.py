@@ -18,6 +18,7 @@ set needs, so a code of any number of crossings fits; sets of different widths a
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,10 +118,8 @@ class Shown(NamedTuple):
         Raises:
             InvalidInput: nothing says how a column is computed.
         """
-        given, wanted = (
-            self._asdict(),
-            {c.name: c.derived for c in schema.columns if c.of == "state"},
-        )
+        given = self._asdict()
+        wanted = {c.name: c.derived for c in schema.columns if c.of == "state"}
         if unknown := [name for name, of in wanted.items() if not of and name not in given]:
             raise InvalidInput(
                 f"nothing computes column {', '.join(unknown)} of steps: give it `derived`, a"
@@ -321,28 +320,21 @@ class Episodes(NamedTuple):
         Returns:
             bool (rows,), for each row of steps.
         """
-        (ids, held), episode, own = (
-            self.codes_held(task.tow_limit),
-            self.episode_of(),
-            self.episodes,
-        )
+        (ids, held), episode = self.codes_held(task.tow_limit), self.episode_of()
+        own = self.episodes
         shown = (self.steps["visits"] == own["goal_visits"][episode]).all(axis=1)
         wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
         return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
 
     def digests(self) -> list[bytes]:
         """Hash the start, goal and pulls of each episode; equal episodes have equal digests."""
-        (own, steps), offsets = self, self.offsets
-        return [
-            hashlib.sha256(
-                own["start_qpos"][row].tobytes()
-                + own["goal"][row].tobytes()
-                + np.trim_zeros(own["goal_visits"][row], "b").tobytes()
-                + steps["bead"][offsets[row] : offsets[row + 1]].tobytes()
-                + steps["force"][offsets[row] : offsets[row + 1]].tobytes()
-            ).digest()
-            for row in range(own.rows)
-        ]
+        (own, steps), found = self, list[bytes]()
+        for row, (first, end) in enumerate(pairwise(self.offsets.tolist())):
+            whole = hashlib.sha256(own["start_qpos"][row].tobytes() + own["goal"][row].tobytes())
+            whole.update(np.trim_zeros(own["goal_visits"][row], "b").tobytes())
+            whole.update(steps["bead"][first:end].tobytes() + steps["force"][first:end].tobytes())
+            found.append(whole.digest())
+        return found
 
 
 class Statistics:

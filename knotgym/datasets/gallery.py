@@ -82,19 +82,16 @@ def write_sheet(path: Path, found: "Located") -> str:
 
 def state_tiles(states: States) -> list[Tile]:
     """Return the knot diagrams of all states, sorted by crossings, code and split."""
-    order = sorted(
-        range(len(states)),
-        key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
+    order = np.lexsort((states.split != "train", states.gauss_code, states.nx)).tolist()
+    captions = (
+        (states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}")
+        for i in order
     )
     return [
-        Tile(
-            draw_diagram(states.points[i]),
-            (
-                states.gauss_code_chiral[i] or "loop",
-                f"nx {states.nx[i]}  {states.split[i]}  row {i}",
-            ),
+        Tile(draw_diagram(states.points[i]), words)
+        for i, words in Counts.over(
+            zip(order, captions, strict=True), "drawing diagrams", len(order)
         )
-        for i in Counts.over(order, "drawing diagrams", len(order))
     ]
 
 

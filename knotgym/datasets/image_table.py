@@ -91,8 +91,7 @@ def marks_base(table: Any) -> bool:
 
 def picture_column(pictures: Iterable[bytes]) -> Any:
     """Return PNG bytes as a pyarrow.Array in the layout of Hugging Face's Image feature."""
-    rows = [{"bytes": one, "path": None} for one in pictures]
-    return arrow().array(rows, _arrow_type("image"))
+    return arrow().array([{"bytes": one, "path": None} for one in pictures], _arrow_type("image"))
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
@@ -189,9 +188,8 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
 def is_images(path: str | os.PathLike[str]) -> bool:
     """Check whether a path is a perception table: a Parquet file, or a folder with some."""
     given = Path(path)
-    if given.is_file():
-        return given.suffix == ".parquet"
-    return any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
+    inside = any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
+    return given.suffix == ".parquet" if given.is_file() else inside
 
 
 def read_table(

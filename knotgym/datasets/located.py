@@ -158,7 +158,7 @@ def try_files(paths: Iterable[Path], pool: Executor) -> None:
         InvalidFile: a file makes the library crash or hang.
     """
     for path in paths:
-        if not path.is_file() or not _is_hdf5(path):
+        if not path.is_file() or not h5py.is_hdf5(path):
             continue
         limit = _LIMIT + path.stat().st_size / _SLOWEST
         try:
@@ -169,11 +169,6 @@ def try_files(paths: Iterable[Path], pool: Executor) -> None:
             raise InvalidFile(
                 f"{path} makes the HDF5 library hang: not read in {limit:.0f} s; don't open it"
             ) from None
-
-
-def _is_hdf5(path: Path) -> bool:
-    with open(path, "rb") as file:
-        return file.read(8) == b"\x89HDF\r\n\x1a\n"
 
 
 def _read_whole(path: Path) -> None:

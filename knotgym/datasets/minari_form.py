@@ -68,6 +68,10 @@ _PLACED = {
     *("observation", "action", "reward", "terminated", "truncated"),
     *("force", "applied_fraction", "visits", "signs"),
 }
+_OF_PULLS = {  # arrays of pulls -> columns
+    **{"actions": "action", "rewards": "reward"},
+    **{"terminations": "terminated", "truncations": "truncated"},
+}
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 _COUNTED = ("dataset_size", "minari_version", "requirements")  # of the machine that wrote them
 # A chunk of pictures is a strip: a few pixel rows of eight consecutive frames, which differ little.
@@ -351,16 +355,8 @@ def _minari_episodes(
             "goal_gauss_code": str(goals[k]),
             **{name: int(column[k]) for name, column in numbers.items() if column[k] >= 0},
         }
-        yield (
-            attributes,
-            {
-                "actions": steps["action"][pulls],
-                "rewards": steps["reward"][pulls],
-                "terminations": steps["terminated"][pulls],
-                "truncations": steps["truncated"][pulls],
-                **{f"infos/{name}": array[states] for name, array in infos.items()},
-            },
-        )
+        own_pulls = {name: steps[column][pulls] for name, column in _OF_PULLS.items()}
+        yield attributes, own_pulls | {f"infos/{n}": array[states] for n, array in infos.items()}
 
 
 def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:

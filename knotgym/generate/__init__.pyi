@@ -2,15 +2,15 @@ from .episodes.collect import collect as collect
 from .episodes.collect import require_collectable as require_collectable
 from .episodes.comparison import compare as compare
 from .episodes.entries import read_entry as read_entry
+from .episodes.episode_configs import SUITE as SUITE
 from .episodes.episode_configs import CollectConfig as CollectConfig
 from .episodes.episode_configs import EvaluateConfig as EvaluateConfig
+from .episodes.episode_configs import SuiteConfig as SuiteConfig
 from .episodes.evaluate import evaluate as evaluate
 from .episodes.evaluate import film as film
 from .episodes.recordings import Recording as Recording
 from .episodes.results import Result as Result
 from .episodes.suite import make_suite as make_suite
-from .episodes.suite_config import SUITE as SUITE
-from .episodes.suite_config import SuiteConfig as SuiteConfig
 from .images.image_recipe import make_images as make_images
 from .images.images_config import ImagesConfig as ImagesConfig
 from .states.generate_config import GenerateConfig as GenerateConfig

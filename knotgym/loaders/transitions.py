@@ -1,4 +1,5 @@
-"""Transitions of a dataset in batches, through windows of several steps and with sampled goals.
+"""Transitions of a dataset in batches, through windows of several steps and with sampled goals; and
+stretches of consecutive states, straight from the columns, for models of sequences.
 
 A segment is a whole episode or, with hindsight relabelling, the start of an episode up to a code
 that it reached. All of it is index arithmetic on the columns of the dataset:
@@ -8,7 +9,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
     transition t   of segment s leads from state t + s to state t + s + 1
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import Any, TypedDict, Unpack
 
@@ -489,6 +490,58 @@ class Transitions:
             return states
         first = self.starts[segments] + segments
         return np.maximum(states[:, None] + np.arange(1 - self.window.stack, 1), first[:, None])
+
+
+class Sequences:
+    """Every stretch of `length` consecutive states of an episode. Can be pickled.
+
+    Attributes:
+        starts: int64 (n,), the row of steps that each stretch begins in.
+    """
+
+    def __init__(
+        self, dataset: Any, length: int = 64, columns: Sequence[str] = ("observation", "action")
+    ) -> None:
+        """Open a dataset, see `knotgym.loaders`.
+
+        Args:
+            dataset: see `knotgym.loaders`.
+            length: states of a stretch.
+            columns: which columns of `datasets.episodes.STEPS` a stretch has.
+
+        Raises:
+            InvalidInput: the length isn't above 0, no episode is as long, or there is no such
+                column.
+        """
+        if length < 1:
+            raise InvalidInput(f"length must be at least 1, got {length}")
+        self.dataset, self.length, self.columns = columns_of(dataset), length, tuple(columns)
+        episodes = self.dataset.episodes
+        episodes.steps.only(*columns)  # refuses unknown names
+        self._offsets = episodes.offsets
+        rows = np.arange(episodes.steps.rows)
+        fits = rows + length <= np.repeat(episodes.offsets[1:], episodes.episodes["length"] + 1)
+        self.starts: NDArray[np.int64] = rows[fits]
+        if not len(self.starts):
+            longest = int(episodes.episodes["length"].max(initial=-1)) + 1
+            raise InvalidInput(
+                f"no episode of {self.dataset.path} has {length} states; the longest has {longest}"
+            )
+
+    def __len__(self) -> int:
+        """Return the number of stretches."""
+        return len(self.starts)
+
+    def __getitem__(self, index: int) -> dict[str, NDArray[Any]]:
+        """Return a stretch as views of the columns, copying nothing, and the number of its episode.
+
+        observation is float32 (length, beads, 3), the rope alone; the goal is
+        `dataset.episodes.episodes["goal_points"][episode]`, and episode an array of one number.
+        """
+        first, steps = int(self.starts[index]), self.dataset.episodes.steps
+        found = {name: steps[name][first : first + self.length] for name in self.columns}
+        episode = np.searchsorted(self._offsets, first, side="right") - 1
+        return {**found, "episode": np.array([episode])}
 
 
 def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArray[Any]:

@@ -27,7 +27,6 @@ from knotgym.datasets import encode
 from knotgym.envs import EpisodeBatch
 from knotgym.prompting.answers import read_actions, read_code
 from knotgym.prompting.chat import Chat
-from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompts import (
     OPEN,
     READ,
@@ -35,6 +34,7 @@ from knotgym.prompting.prompts import (
     TEXTS,
     Part,
     Picture,
+    PromptConfig,
     Turn,
     as_text,
     caption,

@@ -1,4 +1,4 @@
-"""Prompts: texts (`prompts.toml`) and pictures in the published order, in our own words.
+"""Prompts: texts (`prompts.toml`) and pictures in the published order, in our own words; settings.
 
     the task in one line
     the first picture
@@ -18,7 +18,13 @@ import tomllib
 from collections.abc import Sequence
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import PositiveInt
+
+from knotgym.common import InvalidInput, Seed, choice, configuration
+from knotgym.envs import TaskConfig
+from knotgym.prompting.chat import ChatConfig
 
 MODES = ("open", "stateless", "stateful", "read")
 OPEN, STATELESS, STATEFUL, READ = MODES
@@ -26,6 +32,39 @@ OPEN, STATELESS, STATEFUL, READ = MODES
 _FOLDER = files("knotgym.prompting")
 TEXTS = tomllib.loads((_FOLDER / "prompts.toml").read_text("utf-8"))
 _SUCCESS = TEXTS["success"].format(code=TEXTS["code"])
+
+
+@configuration
+class PromptConfig:
+    """Settings of a run.
+
+    Attributes:
+        mode: what is asked; open: one answer with all actions; stateless: one action per request;
+            stateful: the same, with past pictures and answers; read: the Gauss code of a picture.
+        chat: settings of the client.
+        task: the environment; its horizon limits the actions, and its image_size is that of each
+            picture. Unused in mode read.
+        episodes: number of episodes, or of pictures from the start of the split.
+        seed: random seed of the episodes. Episode i is the same in every mode and in `evaluate`.
+        window: past turns included in mode stateful.
+        tell_centre: tell the model the world coordinates of the picture's centre.
+        pictures: in mode read, the split of the pictures, then the SHA-256 of them all.
+        side_by_side: concurrent requests to the server; makes no difference to them.
+    """
+
+    mode: Annotated[str, choice(*MODES)] = STATELESS
+    chat: ChatConfig
+    task: TaskConfig = TaskConfig(task="tie", image_size=256)
+    episodes: PositiveInt = 100
+    seed: Seed = 0
+    window: PositiveInt = 4
+    tell_centre: bool = False
+    pictures: tuple[str, ...] = ()
+    side_by_side: PositiveInt = 4
+
+    def __post_init__(self) -> None:
+        if self.task.views != ("top",) or self.task.depth:
+            raise InvalidInput("prompts support only the view from the top, without depth")
 
 
 class Picture(NamedTuple):

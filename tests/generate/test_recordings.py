@@ -81,7 +81,7 @@ def test_damaged_recordings_are_refused(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_ones_that_ship_are_of_the_suite() -> None:
-    from knotgym.generate.episodes.suite_config import SuiteConfig
+    from knotgym.generate.episodes.episode_configs import SuiteConfig
 
     sets = {one.dataset_id: one for one in SuiteConfig().sets()}
     for name, one in Recording.read_all().items():

@@ -269,7 +269,6 @@ def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPa
     assert "crossing_angle" in judge(coiled, [Limits()]).faults
     assert judge(loop, [Limits(total_curvature=0.9)]).faults == ["total_curvature"]
     assert judge(loop, [], code=GaussCode.parse("1+a,1-a")).faults == ["code lost at rest"]
-    assert judge(loop, [], knot="3_1").faults == ["not certified as 3_1"]
     other = GaussCode.parse("1+a,1-a")
     monkeypatch.setattr("knotgym.generate.states.state_rows.pyknotid_code", lambda _: other)
     assert judge(loop, []).faults == ["labellers disagree"]

@@ -16,8 +16,8 @@ from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import Episodes, open_episodes, write_episodes
 from knotgym.generate.episodes import suite as module
 from knotgym.generate.episodes.collect import run_facts
-from knotgym.generate.episodes.suite import SETUPS, _describe_set, make_suite
-from knotgym.generate.episodes.suite_config import POLICIES, SPLITS, STATES, SuiteConfig
+from knotgym.generate.episodes.episode_configs import POLICIES, SPLITS, STATES, SuiteConfig
+from knotgym.generate.episodes.suite import _describe_set, make_suite
 from knotgym.runs import RunOptions
 
 ID = "knotgym/unknot-nx2/{}-v0"
@@ -49,7 +49,7 @@ def card(out: Path) -> dict[str, Any]:
 
 def test_the_whole_is_nine_setups_by_policies_splits_and_sets_of_states() -> None:
     sets = list(SuiteConfig().sets())
-    count = len(SETUPS) * len(POLICIES) * len(SPLITS) * len(STATES)
+    count = 9 * len(POLICIES) * len(SPLITS) * len(STATES)
     assert len({one.dataset_id for one in sets}) == len(sets) == count
     for one in sets:
         assert ("train-code" in one.dataset_id) == (one.task.split == "train-code")
@@ -58,7 +58,7 @@ def test_the_whole_is_nine_setups_by_policies_splits_and_sets_of_states() -> Non
 
 def test_tiers_are_six_policies_of_ten_setups_in_the_chain_engine() -> None:
     sets = list(SuiteConfig(states=("bench",), size="10M").sets())
-    assert len({one.dataset_id for one in sets}) == len(sets) == (len(SETUPS) + 1) * 6
+    assert len({one.dataset_id for one in sets}) == len(sets) == (9 + 1) * 6
     assert {one.task.nx for one in sets if one.task.task != "tie"} == {2, 3, 4}
     assert all(one.task.engine == "chain" and one.steps == 10_000_000 for one in sets)
     assert {one.form for one in sets} == {"recording"}  # as columns they wouldn't fit into memory

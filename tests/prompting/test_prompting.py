@@ -14,9 +14,8 @@ from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import decode, encode
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
-from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
-from knotgym.prompting.prompts import first
+from knotgym.prompting.prompts import PromptConfig, first
 from knotgym.prompting.transcripts import read_transcripts, reading_scores, show_transcripts
 from knotgym.runs import RunOptions
 

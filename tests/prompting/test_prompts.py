@@ -10,9 +10,8 @@ import pytest
 from knotgym.datasets import decode, encode
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
-from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import sample_prompt
-from knotgym.prompting.prompts import MODES, READ, STATEFUL, first
+from knotgym.prompting.prompts import MODES, READ, STATEFUL, PromptConfig, first
 from knotgym.topology import label
 
 DOCS = Path(__file__).parents[2] / "docs"

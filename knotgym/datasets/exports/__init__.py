@@ -85,9 +85,9 @@ EXPORTS = {
         "starts and pulls alone", partial(_write_files, whole=False), output="file"
     ),
     "ogbench": Export(
-        "data files for OGBench's agents", f"{_HERE}.ogbench_export:to_ogbench", output="beside"
+        "data files for OGBench's agents", f"{_HERE}.episode_exports:to_ogbench", output="beside"
     ),
-    "minari": Export("a Minari root, ready to upload", f"{_HERE}.minari_export:to_minari"),
+    "minari": Export("a Minari root, ready to upload", f"{_HERE}.episode_exports:to_minari"),
     "huggingface": Export(
         "Parquet files with a card, ready to upload",
         f"{_HERE}.huggingface_export:to_huggingface",
@@ -112,11 +112,11 @@ EXPORTS = {
 def export_help() -> str:
     """Return the formats in words, for the help of `knotgym dataset export`."""
 
-    says = {
-        name: one.says + (f"; extra {one.extra}" if one.extra else "")
+    says = (
+        f"{name} ({one.says}{f'; extra {one.extra}' if one.extra else ''})"
         for name, one in EXPORTS.items()
-    }
-    return f"Format: {', '.join(f'{name} ({text})' for name, text in says.items())}."
+    )
+    return f"Format: {', '.join(says)}."
 
 
 def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: bool = False) -> str:

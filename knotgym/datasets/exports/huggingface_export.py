@@ -132,10 +132,12 @@ def _tables(
             " themselves"
         )
     pictures = all(one.task.observation in ("pixels", "both") for one in datasets)
-    columns = _rows_of_steps(datasets, pictures)
+    stored = {name for one in datasets for name in one.episodes.steps}
+    lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
+    schema = ROWS_OF_STEPS.without(*lacking, *([] if pictures else ["image"]))
     for split in dict.fromkeys(one.task.split for one in datasets):
         own = [one for one in datasets if one.task.split == split]
-        tables = (part for one in own for part in _step_tables(one, columns))
+        tables = (part for one in own for part in _step_tables(one, schema, pictures))
         yield "steps", split.replace("-", "_"), tables  # Hugging Face's splits have no dashes
 
 
@@ -154,7 +156,7 @@ def _card(
             configs.append(f"  - split: {split}\n    path: data/{config}/{split}-*.parquet")
         tables += ["", f"## {config}", "", *table(("split", "rows"), splits.items()), ""]
         tables.append(pages[config])
-    total = sum(sum(splits.values()) for splits in rows.values())
+    total = sum(map(sum, (splits.values() for splits in rows.values())))
     return filled_template(
         "huggingface_card.md",
         pretty_name=yaml_string(title),
@@ -169,26 +171,19 @@ def _card(
     )
 
 
-def _rows_of_steps(datasets: Iterable[EpisodeDataset], pictures: bool) -> Schema:
-    """Return the columns of a file of these datasets: optional ones if any of them has them."""
-    stored = {name for one in datasets for name in one.episodes.steps}
-    lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
-    return ROWS_OF_STEPS.without(*lacking, *([] if pictures else ["image"]))
-
-
-def _step_tables(dataset: EpisodeDataset, schema: Schema) -> Iterator[Table]:
+def _step_tables(dataset: EpisodeDataset, schema: Schema, pictures: bool) -> Iterator[Table]:
     """Yield a dataset's states, one row each, in tables of some episodes.
 
     Args:
         dataset: columns.
-        schema: `_rows_of_steps`; optional columns that the dataset lacks hold `Column.unknown`.
+        schema: of the file; optional columns that the dataset lacks hold `Column.unknown`.
+        pictures: whether it has them.
     """
-    pictures = any(column.name == "image" for column in schema.columns)
     rows, offsets = dataset.episodes.episodes.rows, dataset.episodes.offsets
     for first in range(0, rows, _AT_ONCE):
         Counts.tell("writing steps", Counts.from_now(int(offsets[first])), int(offsets[-1]))
-        last = min(first + _AT_ONCE, rows)
-        yield _step_table(dataset.select(np.arange(first, last)), first, pictures).filled(schema)
+        some = dataset.select(np.arange(first, min(first + _AT_ONCE, rows)))
+        yield _step_table(some, first, pictures).filled(schema)
 
 
 def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:

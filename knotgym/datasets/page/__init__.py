@@ -77,11 +77,8 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
         data |= _pictures(given.pictures, notices, about)
     data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
     data["about"] = [[name, _cut(value)] for name, value in about.items() if value]
-    counts = [
-        (len(data["states"]), data["called"].removesuffix("s")),
-        (len(data["episodes"]), "episode"),
-    ]
-    contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
+    counts = {data["called"].removesuffix("s"): data["states"], "episode": data["episodes"]}
+    contents = [f"{len(one)} {what}{'s' * (len(one) != 1)}" for what, one in counts.items() if one]
     if not contents:
         raise InvalidInput(f"{title} has no rows, so there is nothing to show")
     return {**data, "says": ", ".join(contents)}
@@ -127,15 +124,16 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
     report = read_manifest(file.parent)[0].get("report", {})
     rows = _sampled(len(states), MOST_STATES)
     _notice(notices, rows, len(states), "states")
+    own = states.take(rows)
     measures = {
-        name: (unit, own[rows])
-        for name, (unit, own) in states.measures.items()
-        if np.isfinite(own).any()
+        name: own.measures[name]
+        for name, (_, one) in states.measures.items()
+        if np.isfinite(one).any()
     }
-    found = _shapes(rows, states.take(rows).table, measures)
+    found = _shapes(rows, own.table, measures)
     made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
-    for name, column in made.items() if "dataset" in states.source else ():
-        for shown, value in zip(found["states"], states.source[column][rows].tolist(), strict=True):
+    for name, column in made.items() if "dataset" in own.source else ():
+        for shown, value in zip(found["states"], own.source[column].tolist(), strict=True):
             shown[name] = value
     about |= {
         "states": len(states),

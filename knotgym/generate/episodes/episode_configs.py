@@ -1,15 +1,17 @@
-"""The configurations of `knotgym collect` and `knotgym evaluate`; the command line reads them, so
+"""The configurations of `knotgym collect`, `evaluate` and `suite`; the command line reads them, so
 nothing here computes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import field, replace
+from importlib.resources import files
 from itertools import product
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import NonNegativeInt, PositiveInt
+from pydantic import Field, NonNegativeInt, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
@@ -21,6 +23,19 @@ if TYPE_CHECKING:
 
 # Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
 OBSERVATION = "state"
+
+SUITE: dict[str, Any] = tomllib.loads(
+    (files("knotgym.generate.episodes") / "data" / "suite.toml").read_text("utf-8")
+)
+POLICIES, STATES, SPLITS = (tuple(SUITE[name]) for name in ("policies", "states", "splits"))
+BENCH, SIZES = "bench", SUITE["bench"]["sizes"]
+TIERS = tuple(SUITE["bench"]["policies"])  # policies whose episodes on bench states are a tier
+
+Tasks = Annotated[tuple[Annotated[str, choice(*SUITE["tasks"])], ...], Distinct]
+Policies = Annotated[tuple[Annotated[str, choice(*TIERS)], ...], Distinct]
+Splits = Annotated[tuple[Annotated[str, choice(*SPLITS)], ...], Distinct]
+States = Annotated[tuple[Annotated[str, choice(*STATES, BENCH)], ...], Distinct]
+Numbers = Annotated[tuple[Annotated[int, Field(ge=2, le=5)], ...], Distinct]
 
 
 @configuration
@@ -123,3 +138,105 @@ class EvaluateConfig:
         """Yield every combination of policy and environment."""
         for policy, task, split, nx in product(self.policies, self.tasks, self.splits, self.nx):
             yield policy, replace(self.task, task=task, nx=nx, split=split)
+
+
+@configuration
+class SuiteConfig:
+    """Which part of the benchmark to make; see `data/suite.toml`.
+
+    Attributes:
+        tasks: tasks, comma-separated: unknot, tie, convert.
+        nx: numbers of crossings, from 2 to 4, and for tie on bench states 5: 3 or 2,3; all by
+            default.
+        policies: policies, comma-separated: random, noisy, expert, play; on bench states also
+            explore (random passes towards no goal) and mixed. All by default.
+        splits: splits, comma-separated: train, whose states are held out from test, and train-code,
+            which shares no code with test-code and which bench hasn't. All by default.
+        states: sets of states, comma-separated: readable, random-walk; or bench, whose datasets
+            are nested tiers of the chain engine.
+        size: steps of each tier of bench states: 10k (the default), 100k, 1M or 10M. A tier is the
+            beginning of the next.
+        episodes: policy -> episodes per dataset; by default those of `data/suite.toml`. Tiers have
+            a size instead.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+            Every engine but MuJoCo has ids of its own. Tiers are of the chain engine.
+        observation: observation to store: pixels, state, both or symbolic. Pictures can be drawn
+            from any of them.
+        seed: random seed of every dataset; not 0, the default of `evaluate`, whose episodes on the
+            train split would then start like those of the datasets.
+        recorded: rebuild datasets from the recordings that are included, by stepping alone. Setups
+            without a recording are left out; random episodes follow from the seed.
+    """
+
+    tasks: Tasks = tuple(SUITE["tasks"])
+    nx: Numbers | None = None
+    policies: Policies | None = None
+    splits: Splits | None = None
+    states: States = STATES
+    size: Annotated[str, choice(*SIZES)] | None = None
+    episodes: Mapping[Annotated[str, choice(*TIERS)], PositiveInt] = field(default_factory=dict)
+    engine: str = MUJOCO
+    observation: str = SUITE["observation"]
+    seed: Seed = SUITE["seed"]
+    recorded: bool = False
+
+    def __post_init__(self) -> None:
+        if self.size and BENCH not in self.states:
+            raise InvalidInput(f"--size {self.size} is of --states {BENCH}, not {self.states[0]}")
+        if not [*self.sets()]:  # which raises if a size, seed or observation is invalid
+            raise InvalidInput(
+                f"no set-up of {', '.join(self.tasks)} with nx"
+                f" {', '.join(map(str, self.nx or ()))} on states {', '.join(self.states)}"
+            )
+
+    def sets(self) -> Iterator[CollectConfig]:
+        """Yield the requested datasets in the order in which they are made.
+
+        The split by state and readable states come first; within them, one setup is completed
+        before the next.
+        """
+        for split, states in product(SPLITS, self.states):
+            own = SUITE | SUITE.get(states, {})
+            asked = {name: self._asked(name, states, own) for name in ("nx", "policies", "splits")}
+            if split not in asked["splits"]:
+                continue
+            for task, nx, name in product(self.tasks, asked["nx"], asked["policies"]):
+                if task in own.get("only", {}).get(str(nx), self.tasks):
+                    yield self._set(own, task, nx, split, states, name)
+
+    def _asked(self, name: str, states: str, own: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Return the requested values of a field, or all that a set of states has."""
+        asked, there = getattr(self, name) or (), own[name]
+        if missing := [one for one in asked if one not in there]:
+            raise InvalidInput(
+                f"{name} of the sets on {states} states must be one of"
+                f" {', '.join(map(str, there))}, got {missing[0]}"
+            )
+        return asked or tuple(there)
+
+    def _set(
+        self, own: Mapping[str, Any], task: str, nx: int, split: str, states: str, name: str
+    ) -> CollectConfig:
+        policy, tiered = PolicyConfig(policy=own.get("acting", {}).get(name, name)), states == BENCH
+        tier = self.size or next(iter(SIZES))
+        settings = own["settings"].get(task, {}) | own["settings"].get(name, {})
+        setup = TaskConfig(
+            task=task,
+            nx=nx,
+            split=split,
+            states=None if states == STATES[0] else states,
+            engine=own.get("engine", self.engine),
+            observation=self.observation,
+            **settings,
+        )
+        marks = [setup.states or "", tier if tiered else ""]
+        marks += [] if self.seed == SUITE["seed"] else [f"seed{self.seed}"]
+        dataset_id = plain_id(setup, PolicyConfig(policy=name), *marks)
+        one = CollectConfig(task=setup, policy=policy, seed=self.seed, dataset_id=dataset_id)
+        if not tiered:
+            sizes = SUITE["episodes"] | SUITE["episodes"].get(task, {})
+            size = sizes[name][SUITE["nx"].index(nx)]
+            return replace(one, episodes=self.episodes.get(name, size))
+        if self.episodes:
+            raise InvalidInput(f"sets on {BENCH} states have a --size, not a number of --episodes")
+        return replace(one, steps=SIZES[tier], form=own["forms"][tier])

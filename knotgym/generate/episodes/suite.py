@@ -12,7 +12,6 @@ Every dataset is an ordinary collection, see `collect`, or its pulls come from a
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +29,13 @@ from knotgym.common import (
 from knotgym.control import replay
 from knotgym.datasets import EpisodeDataset, expanded, open_episodes, suite_card
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
-from knotgym.generate.episodes.episode_configs import CollectConfig
+from knotgym.generate.episodes.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
 from knotgym.generate.episodes.recordings import Recording, first_difference
 from knotgym.generate.episodes.results import reference_scores
-from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
 from knotgym.rope import ENGINES
 from knotgym.runs import Progress, RunOptions
 from knotgym.states import minari_root
 
-SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
 _DRAWN = 8  # episodes of a finished set that are played again

@@ -155,7 +155,6 @@ def _missed(fault: str, quality: Quality, limits: Limits) -> str:
     if fault not in Quality.UNITS:
         return fault
     value, unit = getattr(quality, fault), Quality.UNITS[fault]
-    value, unit = getattr(quality, fault), Quality.UNITS[fault]
     return f"{fault} is {value:.3g} {unit}, limit {getattr(limits, fault)}"
 
 

@@ -40,19 +40,14 @@ class Judgement(NamedTuple):
 
 
 def judge(
-    points: ArrayLike,
-    limits: Sequence[Limits],
-    *,
-    code: GaussCode | None = None,
-    knot: str = UNKNOT,
+    points: ArrayLike, limits: Sequence[Limits], *, code: GaussCode | None = None
 ) -> Judgement:
     """Judge a configuration at rest, from cheap to costly checks; the first to fail ends it.
 
     Args:
         points: float64 (beads, 3), metres.
         limits: all must be kept.
-        code: that it must show, with chirality; None for any code of the knot.
-        knot: name in the knot table of the rope's knot.
+        code: that it must show, with chirality; None for any code of the unknot.
     """
     p = np.asarray(points, dtype=np.float64)
     crossings = find_crossings(p)
@@ -71,8 +66,8 @@ def judge(
         found = _judged(replace(found.quality, noise_survival=noise_survival(p)))
     if not found.faults and pyknotid_code(p) != shown:
         found.faults.append("labellers disagree")
-    if not found.faults and code is None and not shows(shown, knot):
-        found.faults.append(f"not certified as {knot}")
+    if not found.faults and code is None and not shows(shown, UNKNOT):
+        found.faults.append(f"not certified as {UNKNOT}")
     return found
 
 

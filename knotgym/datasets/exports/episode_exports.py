@@ -1,0 +1,167 @@
+"""Export episodes to Minari and to OGBench.
+
+Minari: datasets as a root whose first level is a Hugging Face repository.
+
+    {out}/knotgym/README.md, CITATION.cff, gallery.png, namespace_metadata.json
+    {out}/knotgym/tie-nx3/demonstrations-v0/data/       the datasets, byte for byte, and Minari's
+                                                        form of those that lack it
+
+`minari.load_dataset` reads them with MINARI_DATASETS_PATH={out}, and downloads them once they are
+uploaded to hf://USER. All ids must begin with the same word, which Minari takes as the repository.
+
+OGBench: data files for its agents and reader.
+
+    {out}/{name}-train.npz      nine of ten episodes
+    {out}/{name}-val.npz        every tenth episode
+    {out}/{name}.npz            the training file again, under the name that the agents look for
+
+An episode of T actions takes T + 1 consecutive rows of each array:
+
+    observations    float32 (300,), vertices of the rope, or uint8 (size, size, 3); never the goal
+    actions         float32 (6,); zeros in the last row, which has no action
+    terminals       bool, true in the last row
+
+A name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the prefix "visual-" for
+pictures. Without the policy it is the id of the environment, see `adapters.OGBenchEnv`.
+"""
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knotgym.common import Counts, InvalidInput, atomic_write, require_output
+from knotgym.datasets.cards import citation_file, filled_template, plain, table, write_text
+from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, columns_of
+from knotgym.datasets.episode_verification import Replay
+from knotgym.datasets.gallery import episode_tiles, write_gallery
+from knotgym.datasets.located import Located
+from knotgym.datasets.minari_form import (
+    METADATA,
+    copy_file,
+    dataset_files,
+    metadata_of,
+    write_minari,
+)
+
+_HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
+_TENTH = 10  # every tenth episode is for validation
+_LOOKS = {"pixels": "visual-", "state": ""}
+
+
+def to_minari(source: Located, root: Path, _: Replay) -> str:
+    """Write into an empty folder, and return a one-line summary.
+
+    Raises:
+        InvalidInput: one is not a Minari dataset, two have the same id, or the ids don't begin
+            with the same word.
+    """
+    entries: dict[str, tuple[object, ...]] = {}
+    sources: dict[str, Path] = {}
+    for dataset in source.episodes:
+        opened = columns_of(dataset)
+        file, data = opened.path, opened.path.parent
+        metadata = metadata_of(opened)
+        if metadata is None or file.name != FILE:  # a file by itself has no folder to copy
+            raise InvalidInput(
+                f"{dataset} is not a Minari dataset; convert it with knotgym dataset merge --id"
+            )
+        name, own = metadata.dataset_id, opened.episodes.episodes
+        if name in sources:
+            raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
+        steps, counts = int(own["length"].sum()), opened.episodes.distinct().values()
+        entries[name] = (own.rows, steps, *counts, metadata.algorithm_name)
+        sources[name] = data
+    words = {name.partition("/")[0] for name in sources}
+    if len(words) != 1 or any("/" not in name for name in sources):
+        raise InvalidInput(
+            "ids in one repository must begin with the same word, as knotgym/tie-nx2/expert-v0, got"
+            f" {', '.join(sources)}"
+        )
+    repository = root / words.pop()
+    for name, data in Counts.over(sources.items(), "copying datasets", len(sources)):
+        (root / name / "data").mkdir(parents=True)
+        for file in dataset_files(data):
+            copy_file(file, root / name / "data" / file.name)
+        if not (data / METADATA).is_file():
+            write_minari(columns_of(root / name), root / name / "data")
+    namespace = {"description": "Closed ropes, goals that are Gauss codes."}
+    listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
+    write_text(repository / "namespace_metadata.json", json.dumps(listed))
+    write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
+    write_gallery(repository / "gallery.png", episode_tiles([*sources.values()]))
+    write_text(repository / "README.md", _card(repository.name, entries))
+    return f"a Minari root with {len(sources)} datasets; upload the folder in it"
+
+
+def _card(repository: str, entries: dict[str, tuple[object, ...]]) -> str:
+    rows = [tuple(map(plain, (name, *entry))) for name, entry in sorted(entries.items())]
+    return filled_template(
+        "minari_card.md",
+        repository=plain(repository),
+        first=json.dumps(rows[0][0]),
+        datasets=table(_HEAD, rows),
+    )
+
+
+def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
+    """Write the files into the folder `out`, and return a one-line summary.
+
+    OGBench reads ~/.ogbench/data. A dataset with both pictures and vertices gives two sets of
+    files.
+
+    Raises:
+        InvalidInput: several datasets, fewer than two episodes, or neither pictures nor vertices.
+        Occupied: a file exists, and `overwrite` is False.
+    """
+    if len(source.episodes) > 1:
+        raise InvalidInput(
+            f"{source.title} has {len(source.episodes)} datasets; export them to ogbench one by one"
+        )
+    dataset = columns_of(source.episodes[0])
+    shown, count = dataset.task.observation, dataset.episodes.episodes.rows
+    looks = [name for name in _LOOKS if shown in (name, "both")]
+    if count < 2 or not looks:
+        raise InvalidInput(
+            "OGBench needs at least 2 episodes of pixels, state or both, for its training and its"
+            f" validation file; {dataset.path} has {count} of {shown}"
+        )
+    names = {look: _LOOKS[look] + _ogbench_name(dataset) for look in looks}
+    files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
+    for wanted in files:
+        require_output(out / wanted, folder=False, overwrite=overwrite, reads=[source.root])
+    validates = np.arange(count) % _TENTH == min(_TENTH, count) - 1
+    with atomic_write(out, *files, overwrite=overwrite) as staged:
+        for look, name in names.items():
+            for end, chosen in (("-val", validates), ("-train", ~validates)):
+                arrays = _arrays(dataset.select(chosen), look)
+                np.savez_compressed(staged / f"{name}{end}.npz", allow_pickle=False, **arrays)
+            shutil.copyfile(staged / f"{name}-train.npz", staged / f"{name}.npz")
+    return f"{count} episodes for ogbench"
+
+
+def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
+    steps = dataset.episodes.steps
+    terminals = np.zeros(steps.rows, dtype=bool)
+    terminals[dataset.episodes.last()] = True
+    seen = steps["observation"].reshape(steps.rows, -1)
+    if look != "state":
+        rows = dataset.episodes.episodes.rows
+        told = Counts.over(range(rows), "drawing episodes", rows)
+        seen = np.concatenate([dataset.select([k]).pictures(beside_goals=False) for k in told])
+    return {"observations": seen, "actions": steps["action"], "terminals": terminals}
+
+
+def _ogbench_name(dataset: EpisodeDataset) -> str:
+    """Return task, crossings, policy and version.
+
+    OGBench splits names at dashes, so a policy has underscores instead.
+    """
+    task, policies = dataset.task, dataset.episodes.episodes["policy"]
+    metadata = metadata_of(dataset)  # checks the id, which names files here
+    dataset_id = metadata.dataset_id if metadata else f"{policies[0]}-v0"
+    policy, _, version = dataset_id.rpartition("/")[2].rpartition("-")
+    return f"{task.name}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"
