@@ -169,7 +169,7 @@ REFUSED = [
     ("\x1b[2J", r"Unknown command"),
     ("collect --episode 3", "Unknown option: --episode. Did you mean --episodes?"),
     ("collect --form zarr", "form"),
-    ("collect surplus", "Unused Tokens: ['surplus']"),
+    ("collect surplus", "a word too many: surplus"),
     ("collect --nx", "requires an argument"),
     ("collect --nx 2 --nx 3", "specified multiple times"),
     ("collect --horizon 30", "--horizon is a setting: --set task.horizon=..."),
