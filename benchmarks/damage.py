@@ -1,11 +1,17 @@
-"""Files in which one byte was changed: whether `dataset verify` finds it, or nothing was lost.
+"""Files in which one byte was changed: whether that is found, or nothing was lost.
 
     python benchmarks/damage.py --changes 200 --out damage.json
 
-Change k of a kind of file depends on (seed, kind, k) alone. `dataset verify` must end with 1 or 2,
-without a traceback, or with 0 if the file holds what it held: values and attributes of an
-HDF5 file, rows of a Parquet file, a JSON document. Otherwise the change is `missed`; --out tells
-which bytes. Kinds that --out already tells aren't run again.
+Change k of a kind of file depends on (seed, kind, k) alone. What reads the file must then end with
+1 or 2, in words and without a traceback; or with 0 and what it ends with for the right file. For
+datasets that is `dataset verify`, and the values and attributes that an HDF5 file, the rows that a
+Parquet file or the document that a JSON file holds; otherwise it is what the reader prints and
+writes. What a user typed has no right value: what is read as something else is counted as `another
+value`. All other changes are `missed`, and --out tells which bytes. Changes that --out already
+tells aren't made again.
+
+`dataset verify` first tries in another process whether the HDF5 library survives a file. Here the
+process that reads is a fork anyway, and only where it dies the whole command is run.
 """
 
 from __future__ import annotations
@@ -14,28 +20,68 @@ import argparse
 import json
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
 from collections import Counter
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from unittest import mock
 
 import h5py
 import numpy as np
-from fuzz import Outcome, played
+from commands import Fork, Outcome, command, made, warm
+
+from knotgym.common import sha256
+from knotgym.loaders import arrays
 
 TASK = "--task unknot --nx 1 --engine chain --policy random --set task.horizon=4 --workers 1"
+STATES = "generate --nx 0,1 --count 4 --engine chain --workers 1 --quiet"
 SET = f"collect {TASK} --episodes 3 --quiet"
-KINDS = {  # what makes it, what is verified, which of its files is changed
-    "states": ("generate --nx 0,1 --count 4 --engine chain --workers 1 --quiet --out set",
-               "set/states.h5", "set/states.h5"),
-    "columns": (f"{SET} --form columns --out c --id a/b-v0", "c/a/b-v0", "*.h5"),
-    "minari": (f"{SET} --form minari --observation state --out m --id a/b-v0", "m/a/b-v0",
-               "main_data.hdf5"),
-    "recording": (f"{SET} --form recording --out r --id a/b-v0", "r/a/b-v0", "*.h5"),
-    "images": ("images --nx 0,1 --count 4 --engine chain --workers 1 --quiet --out p", "p",
-               "*.parquet"),
-    "entry": (f"evaluate {TASK} --episodes 3 --quiet --record e.h5", "e.h5", "e.h5"),
-    "evaluation": (f"evaluate {TASK} --episodes 3 --quiet --out v.json", "v.json", "v.json"),
+PLAYED = "evaluate --task unknot --nx 1 --engine chain --workers 1 --episodes 2 --quiet"
+CLONE = "train --learner clone --steps 4 --set clone.demonstrations=2 --set clone.batch=2 --quiet"
+SETTINGS = '[task]\nhorizon = 4\nsplit = "test"\n[run]\noverwrite = true\n'
+CODES = "1+,1-\n1+,2-,2+,1-\nX[1,2,2,1]\n"
+
+PART = 20  # changes of a kind before it is the next one's turn
+
+
+class Kind(NamedTuple):
+    """A kind of file: what makes it, its name, what reads it, and what that writes, if it does."""
+
+    makes: tuple[str, ...]
+    file: str
+    reads: str
+    writes: str = ""
+    typed: bool = False  # by a user
+
+
+KINDS = {
+    "states": Kind((f"{STATES} --out set",), "set/states.h5", "dataset verify set/states.h5"),
+    "columns": Kind((f"{SET} --form columns --out c --id a/b-v0",), "*.h5",
+                    "dataset verify c/a/b-v0"),
+    "minari": Kind((f"{SET} --form minari --observation state --out m --id a/b-v0",),
+                   "main_data.hdf5", "dataset verify m/a/b-v0"),
+    "recording": Kind((f"{SET} --form recording --out r --id a/b-v0",), "*.h5",
+                      "dataset verify r/a/b-v0"),
+    "images": Kind(("images --nx 0,1 --count 4 --engine chain --workers 1 --quiet --out p",),
+                   "*.parquet", "dataset verify p"),
+    "entry": Kind((f"{PLAYED} --policy random --record e.h5",), "e.h5", "dataset verify e.h5"),
+    "evaluation": Kind((f"{PLAYED} --policy random --out v.json",
+                        f"{PLAYED} --policy noisy --out right.json"), "v.json",
+                       "compare v.json right.json"),
+    "journal": Kind((f"{STATES} --set run.shard=1/2 --out j", f"{STATES} --set run.shard=2/2"
+                     " --resume --out j"), "*.npz", f"{STATES} --resume --out j", "j"),
+    "policy": Kind((f"{CLONE} --out l",), "policy.json", f"{PLAYED} --policy l --out v.json",
+                   "v.json"),
+    "weights": Kind((f"{CLONE} --out l",), "*.safetensors", f"{PLAYED} --policy l --out v.json",
+                    "v.json"),
+    "pictures": Kind((f"{SET} --form columns --out c --id a/b-v0", "cache"), "*.npy", "cache", "d"),
+    "settings": Kind((), "settings.toml", f"{PLAYED} --policy random --settings settings.toml"
+                     " --out v.json", "v.json", True),
+    "codes": Kind((), "codes.txt", f"{STATES} --no-demonstrations --codes codes.txt --out g", "g",
+                  True),
 }  # fmt: skip
 
 
@@ -62,6 +108,75 @@ def _of_object(one: Any) -> Any:
     return attributes, one[()].tolist() if isinstance(one, h5py.Dataset) else None
 
 
+def read(words: str) -> None:
+    """Run a command, but for its trial of files; or read pictures from a cache."""
+    if words != "cache":
+        with mock.patch("knotgym.cli.inspection.try_files"):
+            command(words.split())
+    np.save("d", arrays("c/a/b-v0", observation="pixels", cache="cache")["observations"])
+
+
+def prepare(kind: Kind, folder: Path) -> None:
+    """Make a kind of file, and whatever it takes to read it, in a folder."""
+    folder.mkdir()
+    os.chdir(folder)
+    Path("settings.toml").write_text(SETTINGS)
+    Path("codes.txt").write_text(CODES)
+    for words in kind.makes:
+        if words == "cache":
+            read(words)
+        else:
+            warm(words.split())
+
+
+def outcome(kind: Kind, pristine: Path, file: Path, data: bytes) -> tuple[Outcome, Any]:
+    """Read a copy of the folder with other data in the file; return the end and what was found."""
+    work = pristine.parent / "work"
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(pristine, work)
+    os.chdir(work)
+    file.write_bytes(data)
+    end = Fork(lambda: read(kind.reads)).outcome(60)
+    if end.status < 0:  # the HDF5 library crashed
+        run = [sys.executable, "-m", "knotgym", *kind.reads.split()]
+        found = subprocess.run(run, capture_output=True, text=True)
+        end = Outcome(found.returncode, found.stderr, found.stdout, 0, 0)
+    if "verify" in kind.reads and file.read_bytes() != data:
+        return end._replace(status=99, said="the file was written"), None
+    if "verify" in kind.reads:
+        return end, held(file)
+    written = Path(kind.writes)
+    digests = {"": sha256(written)} if written.is_file() else made(written)
+    return end, [end.printed, digests if kind.writes else {}]
+
+
+def change(name: str, changes: range, seed: int, folder: Path) -> dict[str, Any]:
+    """Change a byte so many times; return how often what happened, and what was missed."""
+    kind, pristine = KINDS[name], folder / "made"
+    if not pristine.exists():
+        prepare(kind, pristine)
+    os.chdir(pristine)
+    file = sorted(Path().rglob(kind.file))[0]
+    right, counts, faults = file.read_bytes(), Counter[str](), []
+    end, expected = outcome(kind, pristine, file, right)
+    assert end.status == 0, end.said
+    for number in changes:
+        rng = np.random.default_rng([seed, *name.encode(), number])
+        at, new = int(rng.integers(len(right))), bytearray(right)
+        new[at] ^= int(rng.integers(1, 256))
+        end, found = outcome(kind, pristine, file, bytes(new))
+        verdict = f"status {end.status}"
+        if "Traceback" in end.said or (end.status in (1, 2) and not end.said.strip()):
+            verdict = "traceback or silence"
+        elif end.status == 0:
+            other = "another value" if kind.typed else "missed"
+            verdict = "without effect" if found == expected else other
+        counts[verdict] += 1
+        if verdict not in ("status 1", "status 2", "without effect", "another value"):
+            faults.append([number, str(file), at, right[at], new[at], end.said[-300:]])
+    return {"bytes": len(right), "counts": counts, "faults": faults}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -71,49 +186,25 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("damage.json"))
     given = parser.parse_args()
-    out = given.out.resolve()
+    out, start = given.out.resolve(), Path.cwd()
     told = json.loads(out.read_text()) if out.is_file() else {}
-    start = Path.cwd()
     with tempfile.TemporaryDirectory() as room:
-        os.chdir(room)
-        for kind in given.kinds:
-            if kind not in told:
-                told[kind] = change(kind, given.changes, given.seed)
-                print(kind, told[kind], flush=True)
-                out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        # in parts, so that every kind has some when time is up
+        for first, kind in product(range(0, given.changes, PART), given.kinds):
+            own = told.setdefault(kind, {"changes": 0, "counts": {}, "faults": []})
+            part = range(own["changes"], min(first + PART, given.changes))
+            if not part:
+                continue
+            folder = Path(room) / kind
+            folder.mkdir(exist_ok=True)
+            new = change(kind, part, given.seed, folder)
+            own["counts"] = Counter(own["counts"]) + new["counts"]
+            own["faults"] += new["faults"]
+            own |= {"changes": part.stop, "bytes": new["bytes"]}
+            out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
         os.chdir(start)
-
-
-def change(kind: str, changes: int, seed: int) -> dict[str, Any]:
-    """Change a byte so many times; return how often what happened, and what was missed."""
-    words, whole, name = KINDS[kind]
-    made = played(words.split(), 1800)
-    assert made.status == 0, made.said
-    files = [Path(whole)] if Path(whole).is_file() else sorted(Path(whole).rglob(name))
-    file, counts, missed = files[0], Counter[str](), []
-    right, held_right = file.read_bytes(), held(file)
-    assert verified(whole).status == 0
-    for number in range(changes):
-        rng = np.random.default_rng([seed, list(KINDS).index(kind), number])
-        at, new = int(rng.integers(len(right))), bytearray(right)
-        new[at] ^= int(rng.integers(1, 256))
-        file.write_bytes(new)
-        outcome = verified(whole)
-        verdict = "traceback" if "Traceback" in outcome.said else f"status {outcome.status}"
-        if outcome.status == 0:
-            verdict = "without effect" if held(file) == held_right else "missed"
-        counts[verdict] += 1
-        if verdict not in ("status 1", "status 2", "without effect"):
-            missed.append([number, at, right[at], new[at], outcome.said[-300:]])
-        if not file.exists() or file.read_bytes() != new:
-            counts["verify wrote"] += 1
-    file.write_bytes(right)
-    shutil.rmtree("__pycache__", ignore_errors=True)
-    return {**counts, "bytes": len(right), "faults": missed}
-
-
-def verified(path: str) -> Outcome:
-    return played(["dataset", "verify", path, "--quiet"], 120)
+    for kind, own in told.items():
+        print(kind, own, flush=True)
 
 
 if __name__ == "__main__":

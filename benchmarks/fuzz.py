@@ -18,19 +18,16 @@ import json
 import os
 import re
 import shutil
-import signal
-import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from commands import Outcome, played
 from rich.console import Console
 
-from knotgym.cli import COMMANDS, application, main
+from knotgym.cli import COMMANDS, application
 
 DATASET = "show verify gallery replay page select split delete merge import export".split()
 NAMES = [*(name for name in COMMANDS if name not in ("dataset", "play", "demo"))]
@@ -55,16 +52,6 @@ FILES = "missing empty noise link pipe folder states.h5 cut.h5 episodes.h5 minar
 FILES += ["table.json", "deep/er/out", "set", "set/states.h5", "x" * 300, ".", "..", ""]
 # more than a few would be honest work for hours; at most one in ten commands asks for it
 WORK = "--count --episodes --ropes --steps --size".split()
-
-
-class Outcome(NamedTuple):
-    """How a command ended: its status, what it printed, seconds and its largest memory, MB."""
-
-    status: int
-    said: str
-    printed: str
-    seconds: float
-    megabytes: float
 
 
 def grammar() -> dict[str, list[tuple[str, str]]]:
@@ -138,42 +125,6 @@ def sandbox(folder: Path) -> None:
     Path("link").symlink_to("folder/mine.txt")
     os.mkfifo("pipe")
     os.chdir(kept)
-
-
-def played(words: list[str], limit: float) -> Outcome:
-    """Run a command in a fork; interrupt it at the limit, and kill it 10 seconds later."""
-    with tempfile.TemporaryFile("w+b") as out, tempfile.TemporaryFile("w+b") as err:
-        began = time.perf_counter()
-        child = os.fork()
-        if not child:
-            os.setsid()
-            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-            os.dup2(out.fileno(), 1)
-            os.dup2(err.fileno(), 2)
-            try:
-                main(words)
-            except SystemExit as end:
-                sys.stdout.flush()
-                os._exit(int(end.code or 0))
-            except BaseException as error:
-                os.write(2, f"Traceback: {error!r}".encode())
-            os._exit(99)
-        signals = [(limit + 10, signal.SIGKILL), (limit, signal.SIGINT)]
-        while not (ended := os.wait4(child, os.WNOHANG))[0]:
-            if time.perf_counter() - began > signals[-1][0] and len(signals) > 0:
-                os.killpg(child, signals[-1][1])
-                if len(signals) > 1:
-                    signals.pop()
-            time.sleep(0.01)
-        spent = time.perf_counter() - began
-        texts = []
-        for stream in (err, out):
-            stream.seek(0)
-            texts.append(stream.read().decode(errors="replace"))
-        megabytes = ended[2].ru_maxrss / 1024
-        said, printed = texts
-        status = os.waitstatus_to_exitcode(ended[1])
-        return Outcome(status, said, printed, round(spent, 1), megabytes)
 
 
 def listing(folder: Path) -> Mapping[str, tuple[int, int]]:

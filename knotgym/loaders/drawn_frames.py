@@ -7,7 +7,8 @@ so that a state that ends one transition and begins the next is stored once.
 Vertices and codes are columns of the dataset. Pictures are drawn when they are asked for, or once
 into a file of NumPy's format, which is mapped into memory:
 
-    {folder}/{key}.npy      uint8 (R + episodes, views * size, size, 3 or 4)
+    {folder}/{key}.npy      structures (R + episodes,): picture, uint8 (views * size, size, 3 or 4),
+                            and crc, uint32, its CRC-32, which is compared at the first reading
 
 The key is a digest of everything that decides the pictures. You may delete the files.
 """
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zlib
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -145,7 +147,7 @@ class DrawnFrames:
         if name != "pixels":
             return [self._vertices(ids) if name == "state" else self._symbols(ids) for ids in shown]
         if self._file is not None:
-            return [self._file[ids] for ids in shown]
+            return [self._kept(self._file, ids) for ids in shown]
         # what several of them show is drawn once
         drawn, index = np.unique(np.concatenate(shown), return_inverse=True)
         pictures = self._drawn(drawn)
@@ -240,25 +242,39 @@ class DrawnFrames:
 
         return Observer(self._dataset.task, self._picture)
 
-    def _cached(self, folder: Path) -> NDArray[np.uint8]:
+    def _kept(self, file: NDArray[np.void], ids: Ids) -> NDArray[np.uint8]:
+        """Read pictures from the cache.
+
+        Raises:
+            InvalidFile: one isn't what was written.
+        """
+        for row in np.unique(ids[self._unread[ids]]):
+            if zlib.crc32(file["picture"][row]) != file["crc"][row]:
+                raise InvalidFile(f"picture {row} of {self._path} is damaged: delete the file")
+            self._unread[row] = False
+        return np.asarray(file["picture"][ids])
+
+    def _cached(self, folder: Path) -> NDArray[np.void]:
         """Map the file of pictures, which is written first if need be, 1 ms a picture."""
         path, frame = folder / f"{self._key()}.npy", self._drawn(np.zeros(1, np.int64))[0]
-        shape = (self._count, *frame.shape)
+        kind = np.dtype([("picture", np.uint8, frame.shape), ("crc", np.uint32)])
+        self._path, self._unread = path, np.ones(self._count, dtype=np.bool_)
         require_own(folder, InvalidFile)
         require_own(path, InvalidFile)
         try:
             if not path.is_file():
                 folder.mkdir(parents=True, exist_ok=True)
                 with atomic_write(path) as part:
-                    file = open_memmap(part, "w+", np.uint8, shape)
+                    file = open_memmap(part, "w+", kind, (self._count,))
                     for first in range(0, len(file), _AT_ONCE):
                         block = np.arange(first, min(first + _AT_ONCE, len(file)))
-                        file[block[0] : block[-1] + 1] = self._drawn(block)
+                        for row, picture in zip(block, self._drawn(block), strict=True):
+                            file[row] = picture, zlib.crc32(picture)
                     file.flush()
             found = open_memmap(path, "r")
         except (OSError, ValueError) as error:
             raise InvalidFile(f"pictures can't be kept at {path}: {error}; delete it") from error
-        if found.shape != shape or found.dtype != np.uint8:
+        if found.shape != (self._count,) or found.dtype != kind:
             raise InvalidFile(f"{path} holds other pictures than its name says: delete it")
         return np.asarray(found)  # a plain array slices faster than np.memmap
 

@@ -16,7 +16,7 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "benchmarks"
 TABLES = ROOT / "knotgym/control/planning/data"
-MODULES = {"picture_check", "rope_states"}  # what the scripts share
+MODULES = {"commands", "picture_check", "rope_states"}  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
 
 

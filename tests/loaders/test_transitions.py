@@ -136,7 +136,7 @@ def test_a_cache_holds_every_picture_once(tmp_path: Path) -> None:
     kept = Transitions(TINY["expert"], observation="both", cache=tmp_path / "c")
     (file,) = (tmp_path / "c").iterdir()
     before, rows = file.stat().st_mtime_ns, open_episodes(TINY["expert"]).episodes.steps.rows
-    assert np.load(file, mmap_mode="r").shape == (rows + 3, 32, 32, 3)
+    assert np.load(file, mmap_mode="r")["picture"].shape == (rows + 3, 32, 32, 3)
     for one in (kept, pickle.loads(pickle.dumps(kept))):
         for name in ("pixels", "state"):
             np.testing.assert_array_equal(
@@ -160,6 +160,18 @@ def test_sets_of_equal_pulls_and_other_states_share_no_pictures(
         assert not np.array_equal(kept[0]["observations"], kept[1]["observations"])
         right = arrays(sets[1], observation="pixels")["observations"]
         np.testing.assert_array_equal(kept[1]["observations"], right)
+
+
+def test_a_picture_of_a_cache_that_was_changed_is_refused(tmp_path: Path) -> None:
+    Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
+    (file,) = (tmp_path / "c").iterdir()
+    changed = bytearray(file.read_bytes())
+    changed[-1000] ^= 1  # the goal of the last episode
+    file.write_bytes(changed)
+    opened = Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
+    opened.batch([0])
+    with pytest.raises(InvalidFile, match="is damaged: delete the file"):
+        opened.batch([len(opened) - 1])
 
 
 def test_a_damaged_or_linked_cache_is_one_line(tmp_path: Path) -> None:
