@@ -41,8 +41,8 @@ def show(given: Given, source: Source, /) -> None:
 def gallery(given: Given, source: Source, /, *, out: Path | None = None) -> None:
     """Draw a contact sheet of knot diagrams with their codes.
 
-    It shows all states, or the final states of 64 episodes, framed green for success and red for
-    failure, or 64 pictures: a sample even over splits, crossings and outcomes.
+    It shows up to 400 states, or the final states of 64 episodes, framed green for success and red
+    for failure, or 64 pictures: a sample even over splits, crossings and outcomes.
 
     Args:
         out: PNG to write; gallery.png in the folder by default.

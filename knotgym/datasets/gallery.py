@@ -18,7 +18,7 @@ from knotgym.states import States, read_states
 if TYPE_CHECKING:
     from knotgym.datasets.located import Located
 
-SHOWN = 64  # maximum number of episodes or pictures in a gallery
+SHOWN, MOST_STATES = 64, 400  # at most so many episodes or pictures, and states, in a gallery
 _WHITE = (225, 225, 225)
 _TILE, _EDGE, _LINE = 192, 6, 14  # pixels: tile, margin, height of a line of text
 _FONT, _LETTERS, _GREY = cv2.FONT_HERSHEY_SIMPLEX, 0.4, (40, 40, 40)
@@ -71,8 +71,8 @@ def write_sheet(path: Path, found: "Located") -> str:
         tiles, count = _picture_tiles(found.pictures)
         what = "pictures"
     elif found.states:
-        tiles, what = state_tiles(read_states(found.states, images=False)), "states"
-        count = len(tiles)
+        states = read_states(found.states, images=False)
+        tiles, what, count = state_tiles(states), "states", len(states)
     else:
         tiles, what = episode_tiles(found.episodes), "episodes, each at its end"
         count = sum(columns_of(one).episodes.episodes.rows for one in found.episodes)
@@ -81,8 +81,15 @@ def write_sheet(path: Path, found: "Located") -> str:
 
 
 def state_tiles(states: States) -> list[Tile]:
-    """Return the knot diagrams of all states, sorted by crossings, code and split."""
-    order = np.lexsort((states.split != "train", states.gauss_code, states.nx)).tolist()
+    """Return the knot diagrams of states, sorted by crossings, code and split.
+
+    Of more than MOST_STATES they are a sample, even over crossings and splits.
+    """
+    kinds = [*zip(states.nx.tolist(), states.split.tolist(), strict=True)]
+    order = sorted(
+        sample(kinds, MOST_STATES),
+        key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
+    )
     captions = (
         (states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}")
         for i in order

@@ -63,7 +63,11 @@ class PictureRow(NamedTuple):
 
 def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
     """Render rows as a pyarrow.Table."""
-    return table_of([record(row, config) for row in rows])
+    records = list[dict[str, Any]]()
+    for row in rows:
+        records.append(record(row, config))
+        Counts.end_item()
+    return table_of(records)
 
 
 def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:

@@ -189,7 +189,12 @@ def _demonstrations(config: CloneConfig) -> list[Call]:
         [(task, nx) for task in config.task for nx in config.nx] if config.demonstrations else []
     )
     return [
-        Call(f"demonstrations of {task} {nx} {first}", demonstrate, (config, task, nx, first))
+        Call(
+            f"demonstrations of {task} {nx} {first}",
+            demonstrate,
+            (config, task, nx, first),
+            min(TOGETHER, config.demonstrations - first),
+        )
         for task, nx in setups
         for first in range(0, config.demonstrations, TOGETHER)
     ]

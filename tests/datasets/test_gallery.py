@@ -1,9 +1,11 @@
 """Contact sheets."""
 
 import numpy as np
+import pytest
 
-from knotgym.datasets.gallery import Tile, _contact_sheet, sample
+from knotgym.datasets.gallery import Tile, _contact_sheet, sample, state_tiles
 from knotgym.rendering import Film
+from knotgym.states import read_states
 
 
 def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
@@ -28,6 +30,13 @@ def test_a_caption_too_long_for_its_picture_is_written_smaller() -> None:
     short, long = (_contact_sheet([Tile(image, (text, "b"))]) for text in ("1+a", code))
     assert long.shape == short.shape and not np.array_equal(long, short)
     assert (long[short.shape[0] - 12 :] != long[-1, 0]).any()
+
+
+def test_of_many_states_a_sheet_shows_some_of_each_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("knotgym.datasets.gallery.MOST_STATES", 12)
+    tiles = state_tiles(read_states("bench", images=False))
+    kinds = [tile.captions[1].rpartition("  row")[0] for tile in tiles]
+    assert len(kinds) == 12 == len(set(kinds)) and kinds[:2] == ["nx 0  train", "nx 0  test"]
 
 
 def test_a_sample_has_every_stratum() -> None:

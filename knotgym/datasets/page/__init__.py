@@ -33,7 +33,7 @@ from knotgym.topology import find_crossings
 
 _UNIT = 1e-4  # metres
 MOST_STATES = 1500  # about 1.3 kB each
-MOST_PICTURES = 400  # about 8 kB more each
+MOST_PICTURES, _PICTURE_BYTES = 400, 8e6  # whichever is reached first
 MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
 MOST_STEPS = 1000  # steps of one episode
 _SHOWN = ("nx", "gauss_code", "gauss_code_chiral", "split", "knot")
@@ -150,7 +150,8 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     stored = column_names(shards(source)[0])
     labels = ["crossings", *(name for name in ("line", "strands") if name in stored)]
     table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image", *labels])
-    rows = _sampled(len(table), MOST_PICTURES)
+    each = 4 / 3 * table.nbytes / max(1, len(table))  # base64
+    rows = _sampled(len(table), min(MOST_PICTURES, int(_PICTURE_BYTES / max(1, each))))
     _notice(notices, rows, len(table), "pictures")
     taken = table.take(rows)
     columns = {name: taken[name].to_pylist() for name in _SHOWN}

@@ -182,7 +182,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     waves = yield from _filled(_Waves(config, plan))
     rows_of = _files(waves)
     results = yield [
-        Call(f"rendering pictures {name}", _drawn, (rows, config.appearance))
+        Call(f"rendering pictures {name}", _drawn, (rows, config.appearance), len(rows))
         for name, rows in rows_of.items()
     ]
     files = [place / name for name in rows_of]
@@ -247,7 +247,8 @@ class _Waves:
             group = self.ropes[at : at + config.ropes]
             start_qpos = self._plan.states.qpos[[rope.start for rope in group]]
             arguments = config, group, start_qpos, missing
-            calls.append(Call(f"pulling ropes {at}-{at + len(group) - 1}", frames_of, arguments))
+            key = f"pulling ropes {at}-{at + len(group) - 1}"
+            calls.append(Call(key, frames_of, arguments, len(group)))
         return calls
 
     def take(self, results: list[Result]) -> None:

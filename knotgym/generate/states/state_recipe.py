@@ -233,6 +233,7 @@ def _demonstrated(
                 f"demonstrations, attempt {number}: {nx} {split} {part[0]}",
                 _demonstrate,
                 (tasks[nx, split], config.seed, part.tolist(), number),
+                len(part),
             )
             for number in range(attempt, min(after, config.demonstration_attempts))
             for (nx, split), rows in goals.items()
