@@ -247,8 +247,8 @@ class _Waves:
             group = self.ropes[at : at + config.ropes]
             start_qpos = self._plan.states.qpos[[rope.start for rope in group]]
             arguments = config, group, start_qpos, missing
-            key = f"pulling ropes {at}-{at + len(group) - 1}"
-            calls.append(Call(key, frames_of, arguments, len(group)))
+            name = f"pulling ropes {at}-{at + len(group) - 1}"
+            calls.append(Call(name, frames_of, arguments, len(group)))
         return calls
 
     def take(self, results: list[Result]) -> None:
