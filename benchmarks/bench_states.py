@@ -25,15 +25,7 @@ from knotgym.common import Stream, Table
 from knotgym.generate import GenerateConfig, PhasedPulls, judge
 from knotgym.quality import Limits
 from knotgym.rope import CHAIN, Array, Rope
-from knotgym.states import (
-    STATE_SPLITS,
-    States,
-    nearest,
-    pairs_within,
-    read_states,
-    resolve_states,
-    write_vertices,
-)
+from knotgym.states import STATE_SPLITS, States, nearest, pairs_within, read_states, resolve_states
 from knotgym.topology import GaussCode, label
 
 LIVES = 8  # of each drawn rope, each with other pulls
@@ -155,7 +147,7 @@ def main() -> None:
     rows = chosen(whole["gauss_code_chiral"], whole["split"], given.count)
     table = {name: column[rows] for name, column in whole.items()}
     told(table, np.concatenate(points)[rows])
-    write_vertices(given.out, table)
+    States.write_vertices(given.out, table)
     print(f"{given.out}: {given.out.stat().st_size / 1e6:.2f} MB")
 
 

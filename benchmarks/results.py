@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from seeds import CELLS, CHANGES, LEARNERS, ORDERED, SEEDS
 
 from knotgym.common import atomic_write
-from knotgym.generate import SUITE, Result, read_entry
+from knotgym.generate import Result, SuiteConfig, read_entry
 from knotgym.rope import CHAIN
 from knotgym.runs import cluster_interval
 
 ROOT = Path(__file__).parents[1]
 ENTRIES, TEXT = ROOT / "benchmarks" / "entries", ROOT / "benchmarks" / "page.md"
+SUITE = SuiteConfig.SUITE
 SETUPS = list(product(SUITE["tasks"], SUITE["nx"]))
 BENCH = ("bench", "test", True, False)
 # rows of README's table: how they begin, and the learner and the track of their entry

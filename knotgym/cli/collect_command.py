@@ -6,7 +6,7 @@ from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, Listed, Numbers, command, numbers
 from knotgym.common import InvalidInput
-from knotgym.generate import SUITE, CollectConfig, SuiteConfig
+from knotgym.generate import CollectConfig, SuiteConfig
 
 
 @command(
@@ -94,7 +94,7 @@ def suite(given: Given, *, out: Path | None = None, episodes: Listed = None) -> 
     """
     from knotgym.generate import make_suite
 
-    policies = given.get("policies") or SUITE["policies"]
+    policies = given.get("policies") or SuiteConfig.SUITE["policies"]
     more = {} if episodes is None else {"episodes": _sizes(episodes, policies)}
     make_suite(given.config(SuiteConfig, more), out, given.run, progress=given.progress)
 

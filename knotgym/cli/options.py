@@ -247,7 +247,8 @@ def _all_fields(sections: Sections) -> Iterator[_Field]:
     """Yield the fields of all sections, and those of the configurations in them."""
 
     def _below(kind: type, path: str, defaults: Any) -> Iterator[_Field]:
-        for name, hint in get_type_hints(kind).items():
+        hints = get_type_hints(kind)
+        for name, hint in ((one.name, hints[one.name]) for one in dataclasses.fields(kind)):
             default = getattr(defaults, name, None)
             yield _Field(f"{path}{name}", kind, hint, default)
             if dataclasses.is_dataclass(hint) and isinstance(hint, type):

@@ -63,7 +63,8 @@ class Mark(NamedTuple):
             word: the mark.
             path: what comes before the names of the fields.
         """
-        for name, hint in get_type_hints(kind, include_extras=True).items():
+        hints = get_type_hints(kind, include_extras=True)
+        for name, hint in ((one.name, hints[one.name]) for one in dataclasses.fields(kind)):
             own = values.get(name) if isinstance(values, Mapping) else getattr(values, name, None)
             for one in _members(hint):
                 if isinstance(one, Mark) and one.word == word and one.applies(own):

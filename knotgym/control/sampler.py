@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Counts, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown, code_sizes
+from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown
 from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
 
 Ids = NDArray[np.int64]
@@ -440,7 +440,7 @@ class _Record:
 
     def _sized(self, schema: Schema) -> Schema:
         batch = self._batch
-        sizes = code_sizes(batch.signs.shape[1])
+        sizes = Episodes.code_sizes(batch.signs.shape[1])
         return schema.sized(beads=batch.task.beads, nq=batch.start_qpos.shape[1], **sizes)
 
     def _see(self, ids: Ids) -> None:

@@ -1,6 +1,5 @@
 from .all_faults import faults as faults
-from .cards import finish_images as finish_images
-from .cards import finish_states as finish_states
+from .cards import finish as finish
 from .cards import in_words as in_words
 from .cards import suite_card as suite_card
 from .cards import summary as summary
@@ -19,9 +18,7 @@ from .episodes import STEPS as STEPS
 from .episodes import Episodes as Episodes
 from .episodes import Shown as Shown
 from .episodes import Statistics as Statistics
-from .episodes import code_sizes as code_sizes
 from .episodes import gauss_codes as gauss_codes
-from .episodes import ranges as ranges
 from .exports import export as export
 from .exports import export_help as export_help
 from .gallery import write_sheet as write_sheet

@@ -159,7 +159,7 @@ class Episodes(NamedTuple):
     def select(self, rows: ArrayLike) -> "Episodes":
         """Return some episodes, by a mask or by their numbers, in that order."""
         chosen = np.arange(self.episodes.rows)[np.asarray(rows) if np.size(rows) else slice(0)]
-        steps = ranges(self.offsets[chosen], self.episodes["length"][chosen] + 1)
+        steps = Episodes.ranges(self.offsets[chosen], self.episodes["length"][chosen] + 1)
         return Episodes(self.episodes.take(chosen), self.steps.take(steps))
 
     def recording(self) -> "Episodes":
@@ -178,6 +178,27 @@ class Episodes(NamedTuple):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns by the names of their tables, such as a journal keeps."""
         return {f"{table.schema.name}/{name}": own for table in self for name, own in table.items()}
+
+    @staticmethod
+    def code_sizes(crossings: int) -> dict[str, int]:
+        """Return the sizes that schemas need for codes of up to so many crossings.
+
+        >>> Episodes.code_sizes(3)
+        {'visits': 6, 'labels': 3}
+        """
+        return {"visits": 2 * max(1, crossings), "labels": max(1, crossings)}
+
+    @staticmethod
+    def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
+        """Concatenate the ranges of so many whole numbers from each first one on.
+
+        >>> Episodes.ranges([5, 0], [2, 3]).tolist()
+        [5, 6, 0, 1, 2]
+        """
+        counts = np.asarray(lengths, dtype=np.int64)
+        ends = np.cumsum(counts)
+        starts = np.asarray(first, dtype=np.int64) - (ends - counts)
+        return np.repeat(starts, counts) + np.arange(int(counts.sum()))
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]]) -> "Episodes":
@@ -362,33 +383,12 @@ class Statistics:
         return {name: np.asarray(value, dtype=np.float32) for name, value in both.items()}
 
 
-def code_sizes(crossings: int) -> dict[str, int]:
-    """Return the sizes that schemas need for codes of up to so many crossings.
-
-    >>> code_sizes(3)
-    {'visits': 6, 'labels': 3}
-    """
-    return {"visits": 2 * max(1, crossings), "labels": max(1, crossings)}
-
-
 def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
     """Make codes as wide as the longest of all sets needs; other columns aren't copied."""
     codes = [table[name] for one in sets for table in one for name in _VISITS if name in table]
     most = max([0, *(int(np.count_nonzero(one, axis=1).max(initial=0)) for one in codes)])
-    sizes = code_sizes(most // 2)
+    sizes = Episodes.code_sizes(most // 2)
     return [Episodes(*(_widened(table, sizes) for table in one)) for one in sets]
-
-
-def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
-    """Concatenate the ranges of so many whole numbers from each first one on.
-
-    >>> ranges([5, 0], [2, 3]).tolist()
-    [5, 6, 0, 1, 2]
-    """
-    counts = np.asarray(lengths, dtype=np.int64)
-    ends = np.cumsum(counts)
-    starts = np.asarray(first, dtype=np.int64) - (ends - counts)
-    return np.repeat(starts, counts) + np.arange(int(counts.sum()))
 
 
 def _code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:

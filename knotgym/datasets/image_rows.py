@@ -31,7 +31,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.state_verification import row_faults as state_faults
-from knotgym.quality import UNAMBIGUOUS, Limits, Quality, grade_of
+from knotgym.quality import Limits, Quality, grade_of
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
 from knotgym.rope import Array, Rope
 from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest, held_form
@@ -189,7 +189,7 @@ def _row_faults(row: Mapping[str, Any]) -> Iterator[str]:
         yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:
         yield f"split is {row['split']!r}, should be {' or '.join(IMAGE_SPLITS)}"
-    if missed := UNAMBIGUOUS.faults(Quality(**row["quality"]), row["nx"]):
+    if missed := Limits.UNAMBIGUOUS.faults(Quality(**row["quality"]), row["nx"]):
         yield f"the code is ambiguous in the picture: {', '.join(missed)}"
 
 

@@ -2,7 +2,6 @@ from .episodes.collect import collect as collect
 from .episodes.collect import require_collectable as require_collectable
 from .episodes.comparison import compare as compare
 from .episodes.entries import read_entry as read_entry
-from .episodes.episode_configs import SUITE as SUITE
 from .episodes.episode_configs import CollectConfig as CollectConfig
 from .episodes.episode_configs import EvaluateConfig as EvaluateConfig
 from .episodes.episode_configs import SuiteConfig as SuiteConfig

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Table
-from knotgym.datasets import columns_of, ranges
+from knotgym.datasets import Episodes, columns_of
 from knotgym.envs import Situation, TaskConfig, reached
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
@@ -121,14 +121,14 @@ class Transitions:
             self.goal_step = lengths
         self._offsets = episodes.offsets
         first = self._offsets[self.episode]
-        counts, states = lengths, ranges(first, lengths + 1)
+        counts, states = lengths, Episodes.ranges(first, lengths + 1)
         if self.leads:
             # transitions begin where macro-actions do; the last state of a segment ends the last
             begun = np.flatnonzero(episodes.steps["macro_start"])
             at, end = np.searchsorted(begun, first), np.searchsorted(begun, first + lengths)
             kept, counts = end > at, (end - at)[end > at]
             self.episode, self.goal_step = self.episode[kept], self.goal_step[kept]
-            states = np.append(begun, 0)[ranges(at[kept], counts + 1)]
+            states = np.append(begun, 0)[Episodes.ranges(at[kept], counts + 1)]
             states[np.cumsum(counts + 1) - 1] = (first + lengths)[kept]
         self.starts: Ids = np.concatenate([[0], np.cumsum(counts)])
         self._states = states
@@ -276,11 +276,11 @@ class Transitions:
     def _hindsight_rewards(self) -> NDArray[np.float64]:
         """Return the reward of the pull in each state of each segment, 0 in its last."""
         steps, lengths = self.dataset.episodes.steps, self.goal_step
-        before = ranges(self._offsets[self.episode], lengths)
+        before = Episodes.ranges(self._offsets[self.episode], lengths)
         after, goal = before + 1, np.repeat(self._offsets[self.episode] + lengths, lengths)
         codes, held = self.dataset.episodes.codes_held(self.task.tow_limit)
         shown = np.where(codes[after] == codes[goal], held[after], 0)
-        count, visits = ranges(np.ones_like(lengths), lengths), steps["visits"]
+        count, visits = Episodes.ranges(np.ones_like(lengths), lengths), steps["visits"]
         # A segment ends at its goal: no state before is beyond the bound on towing or has failed.
         # Nor is any late, though of several datasets loaded as one the first says the horizon.
         count = np.minimum(count, self.task.horizon - 1)

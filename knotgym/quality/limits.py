@@ -125,6 +125,9 @@ class Limits:
         noise_survival: minimum.
     """
 
+    UNTWISTED: ClassVar["Limits"]
+    UNAMBIGUOUS: ClassVar["Limits"]
+
     crossing_angle: NonNegativeFloat | None = 25.0
     crossing_spacing: NonNegativeFloat | None = 6.0
     base_spacing: NonNegativeFloat | None = 3.0
@@ -156,11 +159,13 @@ class Limits:
 # Over-twisted ropes are left out, and nothing else. Total curvature counts the turns of a coil that
 # the picture shows, the excess crossing number those that it hides. A reset draws noise up to
 # twenty times at full scale: at 0.25 all draws lose the code in only 3 of 1,000 resets.
-UNTWISTED = Limits.only(excess_crossing_number=4.0, total_curvature=5.0, noise_survival=0.25)
+Limits.UNTWISTED = Limits.only(excess_crossing_number=4.0, total_curvature=5.0, noise_survival=0.25)
 # Nothing but the Gauss code is required to be certain. A quarter of a bead is 0.64 pixels and
 # rounding errors are 1e-12 of that; axes less than 7 mm apart are those of ropes, 10 mm thick, that
 # lie in each other, so a picture of their surfaces shows no order.
-UNAMBIGUOUS = Limits.only(crossing_spacing=0.64, base_spacing=0.64, margin=0.0, clearance=7.0)
+Limits.UNAMBIGUOUS = Limits.only(
+    crossing_spacing=0.64, base_spacing=0.64, margin=0.0, clearance=7.0
+)
 
 
 def grade_of(ease: float) -> str:

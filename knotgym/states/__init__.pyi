@@ -21,4 +21,3 @@ from .state_file import States as States
 from .state_file import merge_states as merge_states
 from .state_file import read_states as read_states
 from .state_file import write_states as write_states
-from .state_file import write_vertices as write_vertices

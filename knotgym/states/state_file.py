@@ -136,6 +136,17 @@ class States:
             {**made_by, "rope": rope.config.fingerprint, "config": {"made": "from points"}},
         )
 
+    @staticmethod
+    def write_vertices(
+        path: str | os.PathLike[str], columns: Mapping[str, NDArray[Any]], **attributes: Any
+    ) -> None:
+        """Write a state file by vertices atomically, from the columns of `schema.VERTICES`."""
+        from knotgym.rope import RopeConfig  # here, as above
+
+        table = Table(VERTICES, columns)
+        whole = {"rope": RopeConfig.of(table["points"].shape[1]).fingerprint, **attributes}
+        write_tables(path, [table], whole, format=VERTICES_FORMAT, pack=True)
+
     def __post_init__(self) -> None:
         for values in self.table.values():
             values.setflags(write=False)
@@ -276,17 +287,6 @@ def read_states(path: str | os.PathLike[str] | None = None, *, images: bool = Tr
         if name in attributes and not isinstance(attributes[name], kinds):
             raise InvalidFile(f"{path}: attribute {name} is {attributes[name]!r}")
     return States(table, attributes, attributes.pop(DIGEST, ""))
-
-
-def write_vertices(
-    path: str | os.PathLike[str], columns: Mapping[str, NDArray[Any]], **attributes: Any
-) -> None:
-    """Write a state file by vertices atomically, from the columns of `schema.VERTICES`."""
-    from knotgym.rope import RopeConfig
-
-    table = Table(VERTICES, columns)
-    whole = {"rope": RopeConfig.of(table["points"].shape[1]).fingerprint, **attributes}
-    write_tables(path, [table], whole, format=VERTICES_FORMAT, pack=True)
 
 
 def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> States:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_episodes import code_rows, episodes, sign_rows
 
-from knotgym.datasets.episodes import RECORDED, Episodes, code_sizes, fitted, gauss_codes
+from knotgym.datasets.episodes import RECORDED, Episodes, fitted, gauss_codes
 from knotgym.topology import GaussCode
 
 CODES = ["", "1+a,1-a", "1+a,2-c,2+c,1-a"]
@@ -47,7 +47,7 @@ def test_merged_codes_are_as_wide_as_the_longest() -> None:
 
 def test_a_code_of_a_hundred_crossings_is_kept_whole() -> None:
     long = GaussCode(tuple(v for k in range(1, 101) for v in (k, -k)), "a" * 100)
-    assert code_rows([long], code_sizes(100)["visits"]).max() == 100
+    assert code_rows([long], Episodes.code_sizes(100)["visits"]).max() == 100
     assert gauss_codes(code_rows([long]), sign_rows([long])).tolist() == [long.chiral]
     codes = [GaussCode.parse(text) for text in CODES]
     assert gauss_codes(code_rows(codes)).tolist() == [str(code) for code in codes]

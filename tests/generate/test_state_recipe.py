@@ -20,7 +20,7 @@ from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.play_source import PhasedPulls, _ropes_of, rows_of_ropes
 from knotgym.generate.states.state_recipe import make_states
 from knotgym.generate.states.state_rows import Selection, judge
-from knotgym.quality import UNTWISTED, Limits
+from knotgym.quality import Limits
 from knotgym.rope import Rope
 from knotgym.runs import Result, RunOptions, compute
 from knotgym.states import SOURCES, States, pairs_within, read_states
@@ -144,14 +144,14 @@ def test_the_splits_share_no_rope(source: str, request: pytest.FixtureRequest) -
 def test_play_keeps_readable_states_that_are_not_over_twisted_and_new(played: Path) -> None:
     states = states_in(played)
     for points in states.points:
-        assert judge(points, [Limits(), UNTWISTED]).faults == []
+        assert judge(points, [Limits(), Limits.UNTWISTED]).faults == []
     assert pairs_within(states.points) == []
 
 
 def test_random_walks_need_no_actions_and_no_readability(walked: Path) -> None:
     states = states_in(walked)
     assert "actions" not in states.source
-    assert all(judge(points, [UNTWISTED]).faults == [] for points in states.points)
+    assert all(judge(points, [Limits.UNTWISTED]).faults == [] for points in states.points)
 
 
 @pytest.mark.parametrize("config", [DRAWN, WALKED])
@@ -265,7 +265,7 @@ def test_starts_of_demonstrations_are_apart_from_the_set_and_from_the_other_spli
 
 def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPatch) -> None:
     coiled, loop = PhasedPulls.coil(rope), rope.loop()
-    assert judge(loop, [Limits(), UNTWISTED]).faults == []
+    assert judge(loop, [Limits(), Limits.UNTWISTED]).faults == []
     assert "crossing_angle" in judge(coiled, [Limits()]).faults
     assert judge(loop, [Limits(total_curvature=0.9)]).faults == ["total_curvature"]
     assert judge(loop, [], code=GaussCode.parse("1+a,1-a")).faults == ["code lost at rest"]

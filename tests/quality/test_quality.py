@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.quality import measures
-from knotgym.quality.limits import UNAMBIGUOUS, UNTWISTED, Limits, Quality
+from knotgym.quality.limits import Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
 from knotgym.rendering import PictureConfig
 from knotgym.rope import Rope
@@ -22,6 +22,7 @@ PIXEL = PictureConfig().view / PictureConfig().size  # metres
 RADIUS = PictureConfig().rope_radius / PIXEL  # pixels
 
 PERFECT = Quality(90.0, 128.0, 128.0, 128.0, 900.0, 900.0, 40.0, 20.0, 0.0, 1.0, 0.0)
+LIMITS = (Limits(), Limits.UNTWISTED, Limits.UNAMBIGUOUS)
 
 
 def measure(points: ArrayLike, **settings: Any) -> Quality:
@@ -248,13 +249,13 @@ def test_a_crossing_at_the_end_of_the_walk_does_not_survive_reset_noise(rope: Ro
 
 
 def test_a_perfect_state_has_no_faults() -> None:
-    assert all(limits.faults(PERFECT, 3) == [] for limits in (Limits(), UNTWISTED, UNAMBIGUOUS))
+    assert all(limits.faults(PERFECT, 3) == [] for limits in LIMITS)
 
 
 MAXIMA = ("excess_crossing_number", "total_curvature", "curvature_per_crossing")
 BOUNDS = [
     (limits, field.name)
-    for limits in (Limits(), UNTWISTED, UNAMBIGUOUS)
+    for limits in LIMITS
     for field in fields(Limits)
     if getattr(limits, field.name) is not None
 ]

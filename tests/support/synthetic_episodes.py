@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Table
-from knotgym.datasets import EPISODES, STEPS, Episodes, code_sizes, write_episodes
+from knotgym.datasets import EPISODES, STEPS, Episodes, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.topology import GaussCode
 
@@ -38,7 +38,7 @@ def episodes(
     All numbers are drawn from the seed; `codes` are the indices in CODES that each state shows.
     """
     rng, count, rows = np.random.default_rng(seed), len(lengths), sum(lengths) + len(lengths)
-    sizes = {"beads": BEADS, "nq": NQ, **code_sizes(2)}
+    sizes = {"beads": BEADS, "nq": NQ, **Episodes.code_sizes(2)}
     shown = rng.integers(len(CODES), size=rows) if codes is None else codes
     read = [GaussCode.parse(CODES[k]) for k in shown]
     goals = [GaussCode.parse(CODES[k]) for k in rng.integers(len(CODES), size=count)]
@@ -81,7 +81,7 @@ def code_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int16]:
 
     `width` is that of the longest code by default.
     """
-    width = width or code_sizes(max((code.nx for code in codes), default=0))["visits"]
+    width = width or Episodes.code_sizes(max((code.nx for code in codes), default=0))["visits"]
     rows = np.zeros((len(codes), width), dtype=np.int16)
     for row, code in zip(rows, codes, strict=True):
         row[: len(code.visits)] = code.visits
@@ -90,7 +90,7 @@ def code_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int16]:
 
 def sign_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int8]:
     """Return the crossing signs of codes as rows, padded with zeros: int8 (n, width)."""
-    width = width or code_sizes(max((code.nx for code in codes), default=0))["labels"]
+    width = width or Episodes.code_sizes(max((code.nx for code in codes), default=0))["labels"]
     rows = np.zeros((len(codes), width), dtype=np.int8)
     for row, code in zip(rows, codes, strict=True):
         row[: code.nx] = code.signs

@@ -257,18 +257,35 @@ def _state_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTa
     return {one.title: one for one in listed}
 
 
-def finish_states(
-    folder: Path, states: States, report: Mapping[str, Any], request: Mapping[str, Any]
+def finish(
+    folder: Path,
+    report: Mapping[str, Any],
+    request: Mapping[str, Any],
+    states: States | None = None,
 ) -> None:
-    """Write gallery, card and manifest into a folder that has the states and demonstrations.
+    """Write card, manifest and what else is about the data into a run's folder that has them.
+
+    That is a gallery for states, and Croissant for pictures.
 
     Args:
-        report: the run's counts: source, existing codes, rejections, demonstrations.
+        folder: holds the states and demonstrations, or the Parquet files.
+        report: the run's counts: source, existing codes, rejections, demonstrations; or ropes,
+            frames, and frames not used, by reason.
         request: what was asked for: configuration, sources, versions.
+        states: those in the folder; None for pictures.
     """
-    write_gallery(folder / "gallery.png", state_tiles(states))
-    write_text(folder / "README.md", _state_card(states, report, request["config"]))
-    write_manifest(folder, "knotgym-manifest", request, report)
+    config = request["config"]
+    if states is not None:
+        write_gallery(folder / "gallery.png", state_tiles(states))
+        write_text(folder / "README.md", _state_card(states, report, config))
+        return write_manifest(folder, "knotgym-manifest", request, report)
+    from knotgym.datasets.cards.croissant import write_croissant
+
+    write_text(folder / "README.md", _image_card(folder, report, config))
+    appearance, nx = config["appearance"]["name"], ", ".join(map(str, config["nx"]))
+    about = f"Pictures of a closed rope with {nx} crossings and their Gauss codes; made by knotgym."
+    write_croissant(folder, f"knotgym-pictures-{appearance}", about, appearance)
+    return write_manifest(folder, "knotgym-images-manifest", request, report)
 
 
 def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
@@ -334,29 +351,6 @@ def _image_tables(path: Path) -> dict[str, CardTable]:
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
     counts = [counted("splits", columns, _SPLITS), counted("grades", columns, _GRADES)]
     return {one.title: one for one in (*counts, measured(measures))}
-
-
-def finish_images(folder: Path, report: Mapping[str, Any], request: Mapping[str, Any]) -> None:
-    """Write card, Croissant and manifest into a folder that has its Parquet files.
-
-    Args:
-        folder: holds the Parquet files.
-        report: numbers of ropes and frames, and of frames not used, by reason.
-        request: what was asked for: configuration, sources, versions.
-    """
-    from knotgym.datasets.cards.croissant import write_croissant
-
-    config = request["config"]
-    write_text(folder / "README.md", _image_card(folder, report, config))
-    appearance = config["appearance"]["name"]
-    nx = ", ".join(map(str, config["nx"]))
-    write_croissant(
-        folder,
-        f"knotgym-pictures-{appearance}",
-        f"Pictures of a closed rope with {nx} crossings and their Gauss codes; made by knotgym.",
-        appearance,
-    )
-    write_manifest(folder, "knotgym-images-manifest", request, report)
 
 
 def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:

@@ -35,7 +35,7 @@ from knotgym.datasets.cards import (
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay, show_episodes
-from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
+from knotgym.datasets.episodes import STEPS, Episodes, gauss_codes
 from knotgym.datasets.gallery import episode_tiles, state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 from knotgym.datasets.located import Located
@@ -199,7 +199,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
         "goal_gauss_code": gauss_codes(own["goal_visits"])[episode],
         "episode": number + episode,
-        "step": ranges(np.zeros_like(own["length"]), own["length"] + 1),
+        "step": Episodes.ranges(np.zeros_like(own["length"]), own["length"] + 1),
         "is_last": is_last,
         "is_success": part.episodes.goal_reached(part.task),
         "goal_points": own["goal_points"][episode],

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from importlib.resources import files
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
@@ -167,6 +167,8 @@ class SuiteConfig:
         recorded: rebuild datasets from the recordings that are included, by stepping alone. Setups
             without a recording are left out; random episodes follow from the seed.
     """
+
+    SUITE: ClassVar[dict[str, Any]] = SUITE  # what `data/suite.toml` says
 
     tasks: Tasks = tuple(SUITE["tasks"])
     nx: Numbers | None = None

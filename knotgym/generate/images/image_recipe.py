@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed, InvalidInput, Stream
-from knotgym.datasets import PictureRow, arrow, drawn_table, finish_images, parquet, shard_name
+from knotgym.datasets import PictureRow, arrow, drawn_table, finish, parquet, shard_name
 from knotgym.generate.images.frames import Chooser, PicturedRope, Quota, frames_of
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rendering import AppearanceConfig
@@ -189,7 +189,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    finish_images(place, waves.report(), made)
+    finish(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
 
 

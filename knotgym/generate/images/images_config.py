@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, NonNegativeInt, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Seed, Share, configuration
-from knotgym.quality import UNAMBIGUOUS, Limits
+from knotgym.quality import Limits
 from knotgym.rendering import APPEARANCES, AppearanceConfig
 from knotgym.rope import MUJOCO, EngineName
 from knotgym.topology import LISTED_NX
@@ -52,7 +52,7 @@ class ImagesConfig:
     policies: tuple[str, ...] = ("random", "scripted")
     pulls: PositiveInt = 12
     stride: PositiveInt = 2
-    limits: Limits = UNAMBIGUOUS
+    limits: Limits = Limits.UNAMBIGUOUS
     extreme: Share = 0.3
     appearance: AppearanceConfig = AppearanceConfig()
     rows_per_file: PositiveInt = 500

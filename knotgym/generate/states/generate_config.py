@@ -13,7 +13,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 from knotgym.common import Distinct, InvalidInput, Seed, Share, choice, configuration
 from knotgym.drawing import DrawingConfig
 from knotgym.envs import BEADS, TaskConfig
-from knotgym.quality import UNTWISTED, Limits
+from knotgym.quality import Limits
 from knotgym.rope import CHAIN, ENGINES, MUJOCO
 from knotgym.states import SOURCES
 from knotgym.topology import (
@@ -136,7 +136,7 @@ class GenerateConfig:
     play: PlayConfig = PlayConfig()
     walk: PlayConfig = PUBLISHED
     limits: Limits = Limits()
-    twist: Limits = UNTWISTED
+    twist: Limits = Limits.UNTWISTED
 
     def __post_init__(self) -> None:
         known = "auto", *(name for name, source in SOURCES.items() if source.rows)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common import Stream, Table, as_json
 from knotgym.control import PassPlannerConfig, PolicyConfig, compile_planning, make_policy, rollouts
-from knotgym.datasets import STARTS, Episodes, MinariMetadata, finish_states, publish
+from knotgym.datasets import STARTS, Episodes, MinariMetadata, finish, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.drawing_source import CALLS, drawn_rows, splits_of
 from knotgym.generate.states.generate_config import GenerateConfig
@@ -96,7 +96,7 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
     if config.demonstrations:
         states = yield from _demonstrate_all(config, states, place, report)
     write_states(place / "states.h5", states)
-    finish_states(place, states, report, made_by)
+    finish(place, report, made_by, states)
     return _summary(states, report)
 
 
