@@ -23,15 +23,7 @@ from numpy.typing import NDArray
 from pictures import shown_rows
 
 from knotgym.datasets import decode
-from knotgym.topology import (
-    GaussCode,
-    Symmetry,
-    chiralities,
-    images,
-    knot_type,
-    letters_of,
-    pd_text,
-)
+from knotgym.topology import GaussCode, Symmetry, chiralities, images, knot_type, pd_text
 
 INK = 128  # grey level below which a pixel is ink
 SPECK = 12  # pixels; smaller pieces of ink are noise
@@ -158,7 +150,7 @@ def walked(arcs: list[Array], pairs: dict[End, tuple[End, int, float]]) -> Gauss
     letters = {}
     for number in label.values():
         o, u = directions[number], directions[-number]
-        letters[number] = letters_of([o[0] * u[1] - o[1] * u[0]])
+        letters[number] = GaussCode.letters_of([o[0] * u[1] - o[1] * u[0]])
     return GaussCode.relabelled(visits, letters)
 
 

@@ -18,8 +18,9 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import SYMBOLS, EpisodeBatch, KnotEnv, Observer, Situation, TaskConfig
+from knotgym.envs import EpisodeBatch, KnotEnv, Observer, Situation, TaskConfig
 
+_SYMBOLS = Observer.SYMBOLS
 _TASKS = 5  # number of evaluation goals, as in OGBench
 
 
@@ -86,7 +87,7 @@ class Goals:
             )
         self.episodes = episodes
         self._began = Observer.symbols(episodes.visits)
-        goal = spaces.Box(-SYMBOLS, SYMBOLS, (1 + SYMBOLS,), np.int16)
+        goal = spaces.Box(-_SYMBOLS, _SYMBOLS, (1 + _SYMBOLS,), np.int16)
         self.space = spaces.Dict(
             {"observation": _rope_space(task), "achieved_goal": goal, "desired_goal": goal}
         )
@@ -111,7 +112,7 @@ class Goals:
     def reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
         """Return the task's rewards of goals (..., 1 + SYMBOLS): success where equal ones count."""
         pair = np.broadcast_arrays(achieved_goal, desired_goal)
-        achieved, desired = (one.reshape(-1, 1 + SYMBOLS) for one in pair)
+        achieved, desired = (one.reshape(-1, 1 + _SYMBOLS) for one in pair)
         held = ((achieved == desired).all(axis=1) & (desired[:, 0] == 1)).astype(np.int64)
         # hold is 1, and no failure is paid: which step it is, and whether it failed, don't matter
         seen = Situation(achieved[:, 1:], desired[:, 1:], held, 1, np.ones_like(held))
@@ -122,7 +123,7 @@ class Goals:
         """Return which codes that ropes show may count as a success."""
         episodes = self.episodes
         same = (Observer.symbols(episodes.visits[ids]) == self._began[ids]).all(axis=1)
-        fits = 2 * episodes.crossings[ids] <= SYMBOLS
+        fits = 2 * episodes.crossings[ids] <= _SYMBOLS
         return ~same & fits & ~episodes.towed[ids] & ~episodes.failed[ids]
 
 

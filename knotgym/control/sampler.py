@@ -21,8 +21,13 @@ from numpy.typing import NDArray
 
 from knotgym.common import Counts, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
+<<<<<<< HEAD
 from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown
 from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
+=======
+from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown, code_sizes
+from knotgym.envs import EpisodeBatch, TaskConfig
+>>>>>>> 0ff19e0b (Nine names leave the doors of envs, topology and adapters: what belongs to a class is asked of it)
 
 Ids = NDArray[np.int64]
 
@@ -191,7 +196,7 @@ def rollouts(
             continue
         record.before(pulls)
         outcome = batch.pull(pulls.ids, pulls.beads, pulls.forces)
-        record.after(pulls.ids, outcome)
+        record.after(pulls.ids, *outcome)
         over = pulls.ids[outcome.terminated | outcome.truncated]
         for index in over.tolist():
             planned = int(player.planned[index])
@@ -369,12 +374,12 @@ class _Record:
             for name, values in zip(MACROS, pulls.macros.T, strict=True):
                 self._put(name, pulls.ids, values)
 
-    def after(self, ids: Ids, outcome: Outcome) -> None:
+    def after(self, ids: Ids, rewards: NDArray[np.float64], *ends: NDArray[np.bool_]) -> None:
         """Keep what came of the pulls, and the states that they led to."""
         batch = self._batch
         self._success[ids] |= batch.successes(ids)
-        self._totals[ids] += outcome.rewards
-        given = (*outcome, batch.applied_shares[ids])
+        self._totals[ids] += rewards
+        given = (rewards, *ends, batch.applied_shares[ids])
         for name, values in zip(_OUTCOMES, given, strict=True):
             # The batch counts the pull already, and what came of it belongs to the state that it
             # was made in.

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import Column, InvalidInput, Schema, Table, padded
 from knotgym.envs import TaskConfig
 from knotgym.rope import TowBound
-from knotgym.topology import GaussCode, letters_of
+from knotgym.topology import GaussCode
 
 
 def _of(what: str, *columns: Column) -> tuple[Column, ...]:
@@ -415,7 +415,7 @@ def gauss_codes(
         if signs is None:
             texts.append(str(GaussCode(numbers)))
         else:
-            own = letters_of(signs[row][: len(numbers) // 2].tolist())
+            own = GaussCode.letters_of(signs[row][: len(numbers) // 2].tolist())
             texts.append(GaussCode(numbers, own).chiral)
     return np.array(texts, dtype=str)[ids]
 

@@ -30,7 +30,7 @@ from knotgym.datasets.episode_verification import (
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
-from knotgym.envs import BEADS
+from knotgym.envs import TaskConfig
 from knotgym.rope import ENGINES, MUJOCO, Array, Rope, RopeConfig, drawn_actions, simulation
 from knotgym.states import SOURCES, STATE_SPLITS, STATES, RopeAtRest, States, read_states, repeated
 from knotgym.topology import GaussCode, pyknotid_code
@@ -51,7 +51,7 @@ _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would 
 def state_faults(states: States) -> Iterator[str]:
     """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
     made_for, beads = states.attributes.get("rope"), states.points.shape[1]
-    if beads not in BEADS or RopeConfig.of(beads).fingerprint != made_for:
+    if beads not in TaskConfig.BEADS or RopeConfig.of(beads).fingerprint != made_for:
         yield f"rope model {made_for} is not this version's, {RopeConfig().fingerprint}"
         return
     if states.engine not in ENGINES:

@@ -3,13 +3,8 @@ from .environment import KnotVectorEnv as KnotVectorEnv
 from .episode_batch import EpisodeBatch as EpisodeBatch
 from .marked import CanonicalFrames as CanonicalFrames
 from .marked import Marked as Marked
-from .observations import SYMBOLS as SYMBOLS
 from .observations import Observer as Observer
-from .reward import Outcome as Outcome
 from .reward import Situation as Situation
-from .reward import reached as reached
 from .task_states import task_sides as task_sides
-from .tasks import BEADS as BEADS
-from .tasks import OBSERVATIONS as OBSERVATIONS
 from .tasks import TaskConfig as TaskConfig
 from .tasks import register_task as register_task

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Threads
-from knotgym.envs.observations import SYMBOLS, Observer
-from knotgym.envs.reward import Outcome, Situation, reached
+from knotgym.envs.observations import Observer
+from knotgym.envs.reward import Outcome, Situation
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import ActionView, Array, Rope, TowBound, simulation, start_qpos
@@ -266,7 +266,7 @@ class EpisodeBatch:
 
     def successes(self, ids: Ids) -> NDArray[np.bool_]:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
-        return reached(self.held[ids], self.hold[ids], self.failed[ids])
+        return Situation.reached(self.held[ids], self.hold[ids], self.failed[ids])
 
     def act(
         self, actions: ArrayLike, ids: Ids, meanwhile: Callable[[], None] | None = None
@@ -376,7 +376,7 @@ class EpisodeBatch:
         shown: tuple[Any, Any, Any]
         if self.task.numeric_infos:
             cut = self._observer.symbols
-            signs = cut(self.signs[ids], SYMBOLS // 2)
+            signs = cut(self.signs[ids], Observer.SYMBOLS // 2)
             shown = cut(self.visits[ids]), signs, cut(self.wanted[ids])
         else:
             old = ids[self._old_texts[ids]]

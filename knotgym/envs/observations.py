@@ -7,7 +7,7 @@ the environment's byte for byte.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -21,8 +21,6 @@ from knotgym.topology import CodeArrays
 if TYPE_CHECKING:
     from knotgym.rendering import Appearance
 
-SYMBOLS = 64  # visits of a code in an observation, two per crossing
-
 
 class Observer:
     """What is seen in the episodes of a task.
@@ -30,7 +28,10 @@ class Observer:
     Attributes:
         task: settings of the environment.
         picture: settings of its pictures.
+        SYMBOLS: visits of a code in an observation, two per crossing.
     """
+
+    SYMBOLS: ClassVar[int] = 64
 
     def __init__(self, task: TaskConfig, picture: PictureConfig | None = None) -> None:
         """Take a task, and other pictures than its own, in which no appearance varies."""
@@ -44,7 +45,8 @@ class Observer:
         """The observation space of one rope."""
         task = self.task
         if task.observation == "symbolic":
-            return spaces.Box(-SYMBOLS, SYMBOLS, (2, SYMBOLS), np.int16)
+            most = self.SYMBOLS
+            return spaces.Box(-most, most, (2, most), np.int16)
         if task.observation == "marked":
             from knotgym.envs.marked import Marked
 

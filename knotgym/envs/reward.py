@@ -1,4 +1,4 @@
-"""Rewards and ends of episodes: `reward` and `reached` are the only places that decide them.
+"""Rewards and ends of episodes: `reward` and `Situation.reached` alone decide them.
 
     the goal code was shown for `hold` consecutive steps    success_reward, terminated
     otherwise, at step `horizon`                            failure_reward, truncated
@@ -50,9 +50,16 @@ class Situation(NamedTuple):
     failed: ArrayLike = False
     towed: ArrayLike = False
 
+    @staticmethod
+    def reached(
+        held: NDArray[np.int64], hold: ArrayLike, failed: ArrayLike = False
+    ) -> NDArray[np.bool_]:
+        """Return whether steps are successes: bool (n,); arguments are as the attributes."""
+        return (held >= np.asarray(hold)) & ~np.asarray(failed)
+
     def outcome(self, task: TaskConfig) -> Outcome:
         """Return the rewards of n steps and whether they end their episodes."""
-        terminated = reached(self.held, self.hold, self.failed) & (not task.endless)
+        terminated = self.reached(self.held, self.hold, self.failed) & (not task.endless)
         late = (self.steps >= task.horizon) | np.asarray(self.towed) | np.asarray(self.failed)
         return Outcome(reward(task, self), terminated, truncated=late & ~terminated)
 
@@ -65,16 +72,9 @@ class Outcome(NamedTuple):
     truncated: NDArray[np.bool_]
 
 
-def reached(
-    held: NDArray[np.int64], hold: ArrayLike, failed: ArrayLike = False
-) -> NDArray[np.bool_]:
-    """Return whether steps are successes: bool (n,); for arguments see `Situation`."""
-    return (held >= np.asarray(hold)) & ~np.asarray(failed)
-
-
 def reward(task: TaskConfig, seen: Situation) -> NDArray[np.float64]:
     """Return the rewards of n steps, float64 (n,)."""
     failure = 0.0 if task.endless else task.failure_reward
     late = ((seen.steps >= task.horizon) | np.asarray(seen.towed)) & ~np.asarray(seen.failed)
-    success = reached(seen.held, seen.hold, seen.failed)
+    success = seen.reached(seen.held, seen.hold, seen.failed)
     return np.where(success, task.success_reward, np.where(late, failure, 0.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
@@ -19,11 +19,11 @@ from knotgym.states import CODE_SPLITS, STATE_SPLITS
 if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
-OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
+_OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro", "decision")  # see `knotgym.rope.action_views`
 FRAMES = ("world", "canonical")  # see `TaskConfig.require_view`
 MOST_STEPS = 100_000  # of an episode; arrays of all steps are made before it begins
-BEADS = range(50, 1001)  # that a rope may have
+_BEADS = range(50, 1001)  # that a rope may have
 # parameters of the rope that its states depend on, and those that the keyword `rope` can't set
 _SHAPE = "length", "radius"
 _NOT_OF_ROPE = frozenset({"beads", "sub_chains", "rooted", "timestep", "frame_skip"})
@@ -121,14 +121,17 @@ class TaskConfig:
         numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info_rows`.
     """
 
+    OBSERVATIONS: ClassVar = _OBSERVATIONS
+    BEADS: ClassVar = _BEADS
+
     task: TaskName | Annotated[tuple[TaskName, ...], Distinct]
     nx: PositiveInt | Annotated[tuple[PositiveInt, ...], Distinct] = 2
     split: Annotated[str, choice(*STATE_SPLITS, *CODE_SPLITS)] = "train"
     states: Annotated[str, Mark("states")] | None = None
     engine: EngineName = MUJOCO
-    beads: Annotated[int, Field(ge=BEADS.start, le=BEADS[-1])] = 100
+    beads: Annotated[int, Field(ge=_BEADS.start, le=_BEADS[-1])] = 100
     rope: dict[str, float] | None = None
-    observation: Annotated[str, choice(*OBSERVATIONS)] = "pixels"
+    observation: Annotated[str, choice(*_OBSERVATIONS)] = "pixels"
     action: Annotated[str, choice(*ACTIONS)] = "pull"
     frame: Annotated[str, choice(*FRAMES)] = "world"
     max_goals: PositiveInt | None = None
@@ -212,7 +215,7 @@ class TaskConfig:
     def require_view(observation: str, action: str, frame: str) -> None:
         """Raise InvalidInput if there are none of these names, or they don't go together."""
         for name, given, known in (
-            ("observation", observation, OBSERVATIONS),
+            ("observation", observation, _OBSERVATIONS),
             ("action", action, ACTIONS),
             ("frame", frame, FRAMES),
         ):

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import SYMBOLS, Observer
+from knotgym.envs import Observer
 from knotgym.rope import chosen_forces, force_choices
 from knotgym.topology import CodeArrays, Symmetry
 
@@ -87,15 +87,15 @@ class Symmetries(Symmetry):
         flags = np.broadcast_to(
             flags.reshape(len(own), *(1 for _ in own.shape[1:-1]), 2), (*own.shape[:-1], 2)
         )
-        rows = np.concatenate([own, flags], axis=-1).reshape(-1, SYMBOLS + 2)
+        rows = np.concatenate([own, flags], axis=-1).reshape(-1, Observer.SYMBOLS + 2)
         # few different codes in a batch: each is mapped once
         different, at = np.unique(rows, axis=0, return_inverse=True)
         for row in different:
-            (code,) = CodeArrays(row[None, :SYMBOLS]).objects()
+            (code,) = CodeArrays(row[None, : Observer.SYMBOLS]).objects()
             code = code.switched() if row[-2] else code
             code = code.reversed() if row[-1] else code
             row[: len(code.visits)] = code.visits
-        return different[at.ravel(), :SYMBOLS].reshape(own.shape)
+        return different[at.ravel(), : Observer.SYMBOLS].reshape(own.shape)
 
     def pictures(self, pictures: ArrayLike) -> Array:
         """Turn and mirror pictures of rope and goal side by side, (n, size, 2 size, channels)."""

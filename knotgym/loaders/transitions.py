@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Table
 from knotgym.datasets import Episodes, columns_of
-from knotgym.envs import Situation, TaskConfig, reached
+from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
 from knotgym.rope import LONGEST, force_choices, nearest_beads
@@ -474,7 +474,7 @@ class Transitions:
         after = at + segments[:, None] + 1
         wanted = codes[goals][:, None]
         shown = np.where((codes[after] == wanted) & (wanted >= 0), held[after], 0)
-        success = reached(shown, self.task.hold)
+        success = Situation.reached(shown, self.task.hold)
         rewards = success - float(self.window.goals.gc_negative)
         return rewards, success, (at == end - 1) & ~success, self.pulls[at], inside
 

@@ -11,7 +11,6 @@ from .diagrams import faces as faces
 from .diagrams import uniform_code as uniform_code
 from .diagrams import with_chirality as with_chirality
 from .gauss import GaussCode as GaussCode
-from .gauss import letters_of as letters_of
 from .knots import LISTED_NX as LISTED_NX
 from .knots import UNKNOT as UNKNOT
 from .knots import UNKNOWN as UNKNOWN
@@ -26,7 +25,6 @@ from .notation import dt_text as dt_text
 from .notation import parse_codes as parse_codes
 from .notation import pd_text as pd_text
 from .reference_labeller import pyknotid_code as pyknotid_code
-from .reidemeister import removals as removals
 from .symmetry import Symmetry as Symmetry
 from .symmetry import canonical as canonical
 from .symmetry import images as images

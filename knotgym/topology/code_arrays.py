@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, Threads
 from knotgym.topology.crossing_kernel import scan_rows
-from knotgym.topology.gauss import GaussCode, letters_of
+from knotgym.topology.gauss import GaussCode
 
 FINITE = "every x, y, z must be a finite number"
 WIDTH = 32  # crossings that arrays have room for at first
@@ -124,7 +124,7 @@ def _code(visits: bytes, signs: bytes | None) -> GaussCode:
         return GaussCode.trusted(walk, None if walk else "")
     # signs are padded, too; a code of n visits has n / 2 of them
     own = np.frombuffer(signs, dtype=np.int8)[: len(walk) // 2]
-    return GaussCode.trusted(walk, letters_of(own.tolist()))
+    return GaussCode.trusted(walk, GaussCode.letters_of(own.tolist()))
 
 
 @lru_cache(maxsize=2**14)

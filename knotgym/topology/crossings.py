@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import InvalidInput
 from knotgym.topology.code_arrays import FINITE, CodeArrays
 from knotgym.topology.crossing_kernel import CROSSING, SAME, Columns, count_hits, scan
-from knotgym.topology.gauss import GaussCode, letters_of
+from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[Any]
 
@@ -181,7 +181,7 @@ def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 def _gauss_code(visits: Array, signs: Array) -> GaussCode:
     # what the kernel found needs no check that each label comes once over and once under
-    return GaussCode.trusted(tuple(visits.tolist()), letters_of(signs.tolist()))
+    return GaussCode.trusted(tuple(visits.tolist()), GaussCode.letters_of(signs.tolist()))
 
 
 def _round(gap: Array, total: float) -> Array:

@@ -26,7 +26,7 @@ from itertools import product
 import numpy as np
 
 from knotgym.common import InvalidInput
-from knotgym.topology.gauss import GaussCode, letters_of
+from knotgym.topology.gauss import GaussCode
 
 
 def is_planar(code: GaussCode) -> bool:
@@ -54,7 +54,8 @@ def with_chirality(code: GaussCode) -> GaussCode:
         # flip each part so that its first letter is "a"
         flips = {number: -signs[part.index(number)] for number in set(part)}
         return GaussCode(
-            code.visits, letters_of([sign * flips[part[k]] for k, sign in enumerate(signs)])
+            code.visits,
+            GaussCode.letters_of([sign * flips[part[k]] for k, sign in enumerate(signs)]),
         )
     text = str(code) if code.chirality is None else code.chiral
     raise InvalidInput(
@@ -79,7 +80,7 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
     # Components may be flipped independently, so there are 2 ** parts patterns.
     for flips in product((1, -1), repeat=max(part, default=-1) + 1):  # one per part
         signs = _signs(code.visits, [turn * flips[part[label]] for label, turn in enumerate(turns)])
-        patterns.append(letters_of(signs))
+        patterns.append(GaussCode.letters_of(signs))
     return tuple(sorted(patterns))
 
 

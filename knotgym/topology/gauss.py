@@ -118,6 +118,15 @@ class GaussCode:
         renamed = tuple([new[abs(visit)] if visit > 0 else -new[abs(visit)] for visit in visits])
         return cls(renamed, None if letters is None else "".join([letters[label] for label in new]))
 
+    @staticmethod
+    def letters_of(signs: Iterable[float]) -> str:
+        """Write crossing signs as chirality letters.
+
+        >>> GaussCode.letters_of([1, -1])
+        'ca'
+        """
+        return "".join(["c" if sign > 0 else "a" for sign in signs])
+
     def __str__(self) -> str:
         # a list, as `join` would first make one of a generator
         return ",".join([f"{visit}+" if visit > 0 else f"{-visit}-" for visit in self.visits])
@@ -231,15 +240,6 @@ class GaussCode:
         if letters is not None:
             letters = "".join([letters[label - 1] for label in new])
         return GaussCode.trusted(renamed, letters)
-
-
-def letters_of(signs: Iterable[float]) -> str:
-    """Write crossing signs as chirality letters.
-
-    >>> letters_of([1, -1])
-    'ca'
-    """
-    return "".join(["c" if sign > 0 else "a" for sign in signs])
 
 
 def _numbers(visits: tuple[int, ...]) -> dict[int, int]:

@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from knotgym.topology.diagrams import face_permutation, summands, with_chirality
-from knotgym.topology.gauss import GaussCode, letters_of
+from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, canonical
 
 # Neither is delicate: 1 to 8 paths and 16 to 256 diagrams undo the same hard unknots of up to 32
@@ -283,7 +283,7 @@ def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
     under: dict[int, int] = {}  # edge -> the new visit on it; a shortest path meets it only once
     for label, dart in enumerate(path, rest.nx + 1):
         under[dart // 2] = -label
-        letters[label] = letters_of([1 - 2 * (dart % 2)])
+        letters[label] = GaussCode.letters_of([1 - 2 * (dart % 2)])
     # edge k starts at visit k, so the new under-visit follows it; the new strand comes last
     visits: list[int] = []
     for edge, visit in enumerate(rest.visits):

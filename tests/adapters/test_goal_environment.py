@@ -8,8 +8,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.adapters import GoalEnv, OGBenchEnv, goal_env
-from knotgym.adapters.goal_environment import _halves
+from knotgym.adapters import OGBenchEnv, goal_env
+from knotgym.adapters.goal_environment import GoalEnv, _halves
 from knotgym.common import InvalidInput
 from knotgym.envs import KnotEnv
 

@@ -18,7 +18,7 @@ from knotgym.common import Failed, InvalidInput, MissingFile
 from knotgym.envs import tasks
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import SYMBOLS, Observer
+from knotgym.envs.observations import Observer
 from knotgym.envs.task_states import task_sides
 from knotgym.rendering import Drawer, PictureConfig, draw
 from knotgym.states import States, merge_states, write_states
@@ -177,7 +177,7 @@ def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
     env = make("convert", nx=3, observation="symbolic")
     steps = rollout(env, 0, steps=6)
     for seen, *_, info in steps:
-        assert seen.shape == (2, SYMBOLS) and seen.dtype == np.int16
+        assert seen.shape == (2, Observer.SYMBOLS) and seen.dtype == np.int16
         for row, name in zip(seen.tolist(), ("gauss_code", "goal_gauss_code"), strict=True):
             visits = [visit for visit in row if visit]
             assert str(GaussCode(tuple(visits))) == info[name]
@@ -187,7 +187,7 @@ def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
 
 def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
     visits = np.array([label for k in range(1, 41) for label in (k, -k)])
-    assert np.array_equal(Observer.symbols(visits), visits[:SYMBOLS])
+    assert np.array_equal(Observer.symbols(visits), visits[: Observer.SYMBOLS])
 
 
 @pytest.mark.parametrize("task", TASKS)

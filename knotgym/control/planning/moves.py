@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from knotgym.common import Column, InvalidFile, Schema, Table, read_tables, write_tables
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.rope import Array, Pass
-from knotgym.topology import GaussCode, Symmetry, letters_of
+from knotgym.topology import GaussCode, Symmetry
 
 FORMAT, VERSION = "knotgym-moves", 2
 NODES = Schema(
@@ -243,7 +243,7 @@ class Moves:
         columns = (nodes[name].tolist() for name in ("visits", "signs", "outer"))
         counts = (nodes["visits"] != 0).sum(axis=1).tolist()
         for count, visits, signs, outer in zip(counts, *columns, strict=True):
-            letters = letters_of(signs >> k & 1 for k in range(count // 2))
+            letters = GaussCode.letters_of(signs >> k & 1 for k in range(count // 2))
             darts = tuple(d for d in range(max(2, 2 * count)) if outer >> d & 1)
             table._append(Diagram(GaussCode.trusted(tuple(visits[:count]), letters), darts))
         table.rows = np.stack([outcomes[name] for name in _NAMES], axis=1).astype(np.int64)

@@ -15,7 +15,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
-from knotgym.envs import OBSERVATIONS, TaskConfig
+from knotgym.envs import TaskConfig
 from knotgym.rope import MUJOCO
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class CollectConfig:
     seed: Seed = 0
     keep_failed: bool = True
     labels: Annotated[str, choice("", "expert")] = ""
-    policy_observation: Annotated[str, choice("", *OBSERVATIONS)] = ""
+    policy_observation: Annotated[str, choice("", *TaskConfig.OBSERVATIONS)] = ""
     dataset_id: str = ""
     form: Annotated[str, choice("", "recording", "columns", "minari")] = ""
     author: tuple[str, ...] = ()

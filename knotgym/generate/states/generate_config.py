@@ -12,8 +12,13 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Seed, Share, choice, configuration
 from knotgym.drawing import DrawingConfig
+<<<<<<< HEAD
 from knotgym.envs import BEADS, TaskConfig
 from knotgym.quality import Limits
+=======
+from knotgym.envs import TaskConfig
+from knotgym.quality import UNTWISTED, Limits
+>>>>>>> 0ff19e0b (Nine names leave the doors of envs, topology and adapters: what belongs to a class is asked of it)
 from knotgym.rope import CHAIN, ENGINES, MUJOCO
 from knotgym.states import SOURCES
 from knotgym.topology import (
@@ -131,7 +136,7 @@ class GenerateConfig:
     demonstration_attempts: PositiveInt = 8
     seed: Seed = 0
     engine: Annotated[str, choice("auto", *ENGINES)] = "auto"
-    beads: Annotated[int, Field(ge=BEADS.start, le=BEADS[-1])] = _BEADS
+    beads: Annotated[int, Field(ge=TaskConfig.BEADS.start, le=TaskConfig.BEADS[-1])] = _BEADS
     drawing: DrawingConfig = DrawingConfig()
     play: PlayConfig = PlayConfig()
     walk: PlayConfig = PUBLISHED
