@@ -15,25 +15,15 @@ what this one counts with them.
 
 import argparse
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from knotgym.common import Stream
-from knotgym.control import (
-    BatchedSearch,
-    Diagram,
-    Moves,
-    PassPlannerConfig,
-    PassSearch,
-    PassTemplate,
-    PassValues,
-    Search,
-    Sight,
-    try_pass,
-)
+from knotgym.control import BatchedSearch, Moves, PassPlannerConfig, PassSearch, PassValues, Sight
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import Array, Pass
 from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, codes_of, label
@@ -48,12 +38,13 @@ SHIPPED = {
     "passes-by-code.h5": ("train-code", "not held out"),
     "passes-every-code.h5": ("train", "every"),
 }
-# before, which is the first of its images; number of the move; after, None for any not of interest
-Counts = Counter[tuple[Diagram, int, Diagram | None]]
+# diagram before, which is the first of its images; number of the move; diagram after, None for any
+# not of interest
+Counts = Counter[tuple[Any, int, Any]]
 
 
 @lru_cache
-def templates(nx: int) -> tuple[PassTemplate, ...]:
+def templates(nx: int) -> tuple[Any, ...]:
     """List the passes that are tried at diagrams of nx crossings.
 
     On the plain loop the bead is one in twenty, and the strand some beads away. Otherwise they lie
@@ -74,7 +65,9 @@ def templates(nx: int) -> tuple[PassTemplate, ...]:
         fractions = (30, 70) if nx > 1 else (20, 35, 50, 65, 80)
         along = [100 * arc + part for arc in range(2 * nx + 1) for part in fractions]
         places += [(1, bead, beads) for bead in along for beads in (10, 14, 18, -10, -14, -18)]
-    return tuple(PassTemplate(*place, side) for place in places for side in (1, -1))
+    return tuple(
+        Moves(templates=[(*place, side) for place in places for side in (1, -1)]).templates
+    )
 
 
 TEMPLATES = [template for nx in range(MOST_NX + 1) for template in templates(nx)]
@@ -82,7 +75,7 @@ _FIRST = np.cumsum([0, *(len(templates(nx)) for nx in range(MOST_NX))]).tolist()
 
 
 @lru_cache
-def numbers(nx: int) -> dict[PassTemplate, int]:
+def numbers(nx: int) -> dict[Any, int]:
     """The numbers of the templates of nx crossings in TEMPLATES."""
     return {template: _FIRST[nx] + k for k, template in enumerate(templates(nx))}
 
@@ -92,13 +85,13 @@ def image_of(number: int, image: int, nx: int) -> int:
     return numbers(nx)[TEMPLATES[number].image(image, nx)]
 
 
-def pooled(counts: Counts) -> Iterator[tuple[Diagram, int, Diagram, int, int]]:
+def pooled(counts: Counts) -> Iterator[tuple[Any, int, Any, int, int]]:
     """Yield the rows of a table: counts summed over the symmetries of each node.
 
     What is counted for a move holds for its image under every symmetry that leaves its node as it
     is; such a symmetry may exchange two of its moves.
     """
-    tried, seen = Counter[tuple[Diagram, int]](), Counter[tuple[Diagram, int, Diagram]]()
+    tried, seen = Counter[tuple[Any, int]](), Counter[tuple[Any, int, Any]]()
     for (before, number, after), count in counts.items():
         for k in IMAGES:
             if before.image(k) == before:
@@ -116,10 +109,10 @@ def table_of(counts: Counts) -> Moves:
 
 def best_passes(counts: Counts, goals: Iterable[GaussCode], most: int, least: int) -> Moves:
     """The table of the best passes of every diagram at which at least `least` began."""
-    values, begun = PassValues(table_of(counts)), Counter[Diagram]()
+    values, begun = PassValues(table_of(counts)), Counter[Any]()
     for (before, _, _), count in counts.items():
         begun[before] += count
-    kept = set[tuple[Diagram, int]]()
+    kept = set[tuple[Any, int]]()
     for before in [diagram for diagram, count in begun.items() if count >= least]:
         for goal in goals:
             for k in IMAGES:
@@ -137,7 +130,7 @@ def play(
     values: PassValues,
     args: argparse.Namespace,
     rng: np.random.Generator,
-) -> Search[Counts]:
+) -> Generator[Any, Any, Counts]:
     """Lead a rope to one goal after another; count all passes on the way.
 
     Args:
@@ -163,7 +156,7 @@ def play(
             # of the diagram's first image, for which templates are counted
             image = own.canonical()[1]
             move = some[int(rng.integers(len(some)))].on(sight, image)
-            landing = yield from try_pass(state, move, goal)
+            landing = yield from BatchedSearch.try_pass(state, move, goal)
             left -= max(1, landing.pulls)
             count(counts, points, move, landing.points)
         if landing.lost:

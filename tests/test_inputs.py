@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from knotgym.quality import measure
 from knotgym.rendering import draw, draw_diagram
-from knotgym.rope import MacroAction, Rope, noised
+from knotgym.rope import MacroAction, Rope
 from knotgym.topology import Symmetry, find_crossings, label, pyknotid_code
 
 from .conftest import curled
@@ -26,7 +26,7 @@ FUNCTIONS: dict[str, Callable[[Points], Any]] = {
     "curve": Rope().from_curve,
     "qpos": Rope().qpos,
     "symmetry": ALL.vertices,
-    "noise": lambda points: noised(points[None], 0.1, [np.random.default_rng(0)]),
+    "noise": lambda points: Rope.noised(points[None], 0.1, [np.random.default_rng(0)]),
     "proposal": lambda points: MacroAction.drawn(points, np.random.default_rng(0)),
 }
 

@@ -71,7 +71,7 @@ def make_policy(config: PolicyConfig) -> Policy:
             makes the policy raises anything else, SystemExit included.
     """
     with user_code(config.policy):
-        return _family(config.policy).make(config)
+        return family_of(config.policy).make(config)
 
 
 def policy_files(config: PolicyConfig) -> dict[str, Path]:
@@ -82,17 +82,12 @@ def policy_files(config: PolicyConfig) -> dict[str, Path]:
         InvalidPolicy: a file can't be read.
     """
     try:
-        files = _family(config.policy).files(config.policy)
+        files = family_of(config.policy).files(config.policy)
         for path in files.values():
             require_regular(path, "file", InvalidPolicy)
         return {name: Path(files[name]) for name in sorted(files)}
     except OSError as error:
         raise InvalidPolicy(f"policy {config.policy}: {one_line(error)}") from error
-
-
-def training_card(name: str) -> dict[str, Any] | None:
-    """Facts about the training of a policy, or None if its family records none."""
-    return _family(name).card(name)
 
 
 def _rows() -> Iterator[PolicyFamily]:
@@ -102,8 +97,8 @@ def _rows() -> Iterator[PolicyFamily]:
     yield _OWN_CODE
 
 
-def _family(name: str) -> PolicyFamily:
-    """The first family whose form a name has."""
+def family_of(name: str) -> PolicyFamily:
+    """Return the first family whose form a name has; raise InvalidPolicy if none has."""
     for one in _rows():
         if one.form == name if one.matches is None else one.matches(name):
             return one

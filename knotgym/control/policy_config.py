@@ -5,7 +5,7 @@ Whether a policy of that name exists is found out when it is made, see `policies
 
 from math import inf
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import NonNegativeInt, PositiveInt
 
@@ -88,3 +88,15 @@ class PolicyConfig:
         kind, _, name = self.policy.partition(":")
         stem = f"{kind}-{Path(name).stem}" if name else Path(kind).stem
         return "".join(letter if letter.isalnum() else "-" for letter in stem)
+
+    def files(self) -> dict[str, Path]:
+        """Return each file that decides how the policy acts, see `policies.policy_files`."""
+        from knotgym.control.policies import policy_files
+
+        return policy_files(self)
+
+    def card(self) -> dict[str, Any] | None:
+        """Return facts about the training of the policy; None if its family records none."""
+        from knotgym.control.policies import family_of
+
+        return family_of(self.policy).card(self.policy)

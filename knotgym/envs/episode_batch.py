@@ -18,7 +18,7 @@ from knotgym.envs.observations import Observer
 from knotgym.envs.reward import Outcome, Situation
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope import ActionView, Array, Rope, TowBound, simulation, start_qpos
+from knotgym.rope import ActionView, Array, Rope, TowBound, simulation
 from knotgym.topology import CodeArrays, GaussCode
 
 Ids = NDArray[np.int64]
@@ -170,8 +170,7 @@ class EpisodeBatch:
         for row in set(starts.tolist()) - self._clearances.keys():
             points = np.require(self.starts.points[row], np.float64, ["C", "W"])
             self._clearances[row] = self.simulation.rope.least_clearance(points)
-        qpos = start_qpos(
-            self.simulation.rope,
+        qpos = self.simulation.rope.start_qpos(
             self.starts.qpos[starts],
             self.starts.points[starts],
             [_parsed(str(text)) for text in self.starts.gauss_code_chiral[starts]],

@@ -8,7 +8,7 @@ works for. Beads may be numbered from any other one: then the rope shows the goa
 code, and the code that it ends in, read from there.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -22,9 +22,7 @@ from knotgym.control import (
     PassPlannerConfig,
     PassSearch,
     PassValues,
-    Search,
     TriedPass,
-    try_pass,
 )
 from knotgym.datasets import Episodes
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
@@ -222,10 +220,10 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
 
 def _found(
     state: Array, points: Array, goal: GaussCode, wander: Sequence[Pass], values: PassValues
-) -> Search[PassPlan]:
+) -> Generator[Any, Any, PassPlan]:
     """Search a way from where random passes lead, unless they lead to the goal."""
     for move in wander:
-        landing = yield from try_pass(state, move, goal)
+        landing = yield from BatchedSearch.try_pass(state, move, goal)
         # a start that shows its goal would have nothing to find
         if landing.lost or landing.code.matches(goal):
             break

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
 from knotgym.envs import Observer
-from knotgym.rope import chosen_forces, force_choices
+from knotgym.rope import ActionView
 from knotgym.topology import CodeArrays, Symmetry
 
 Array = NDArray[Any]
@@ -199,7 +199,8 @@ class Symmetries(Symmetry):
                 " symmetries with of_pictures=True"
             )
         made[..., 0] = self.beads(actions[..., 0])
-        made[..., 1:] = force_choices(self.vectors(chosen_forces(actions[..., 1:])))
+        forces = self.vectors(ActionView.chosen_forces(actions[..., 1:]))
+        made[..., 1:] = ActionView.force_choices(forces)
         return made
 
 

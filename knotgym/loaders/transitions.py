@@ -21,7 +21,7 @@ from knotgym.datasets import Episodes, columns_of
 from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
-from knotgym.rope import LONGEST, force_choices, nearest_beads
+from knotgym.rope import LONGEST, ActionView, nearest_beads
 
 
 class Opening(TypedDict, total=False):
@@ -256,7 +256,7 @@ class Transitions:
             points = steps["observation"][at].astype(np.float64)
             reach = self.task.rope_config.reach
             beads = nearest_beads(points, reach * pulls[:, :3].astype(np.float64))
-        return np.column_stack([beads, force_choices(pulls[:, 3:])])
+        return np.column_stack([beads, ActionView.force_choices(pulls[:, 3:])])
 
     @cached_property
     def rewards(self) -> NDArray[np.float64]:

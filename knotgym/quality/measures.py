@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from knotgym.common import Stream, inner
 from knotgym.quality.limits import RESET_NOISE, Quality
 from knotgym.rendering import PictureConfig, project
-from knotgym.rope import Array, noised
+from knotgym.rope import Array, Rope
 from knotgym.topology import Crossings, GaussCode, faces, find_crossings, label_many
 
 # Two points of the drawn rope belong to different strands if the shortest path between them along
@@ -125,7 +125,7 @@ def noise_survival(
     if rng is None:
         seed = int.from_bytes(hashlib.sha256(p.tobytes()).digest()[:7], "little")
         rng = Stream.NOISE_SURVIVAL.generator(seed)
-    varied = noised(np.repeat(p, draws, axis=0), scale, [rng] * draws)
+    varied = Rope.noised(np.repeat(p, draws, axis=0), scale, [rng] * draws)
     codes = label_many(np.concatenate([p, varied]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))
 

@@ -4,14 +4,10 @@ from .actions import LONGEST as LONGEST
 from .actions import NEAR as NEAR
 from .actions import TowBound as TowBound
 from .actions import action_space as action_space
-from .actions import chosen_forces as chosen_forces
 from .actions import drawn_actions as drawn_actions
-from .actions import force_choices as force_choices
 from .actions import nearest_beads as nearest_beads
 from .actions import quantized as quantized
 from .chain.chain_simulation import ChainSimulation as ChainSimulation
-from .closed_curves import noised as noised
-from .closed_curves import start_qpos as start_qpos
 from .engines import CHAIN as CHAIN
 from .engines import ENGINES as ENGINES
 from .engines import MUJOCO as MUJOCO

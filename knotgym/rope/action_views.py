@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rope.actions import (
+    FORCE_CHOICES,
     LONGEST,
     NEAR,
     action_space,
     checked,
-    chosen_forces,
     nearest_beads,
     quantized,
 )
@@ -63,6 +63,27 @@ class ActionView:
         self.busy = np.zeros(count, dtype=bool)
         self.pulls = np.zeros(count, dtype=np.int64)
         self.macros = np.zeros((count, 3), dtype=np.int64)
+
+    @staticmethod
+    def force_choices(forces: ArrayLike) -> NDArray[np.int64]:
+        """Return the nearest choice for each force component in [-1, 1], int64 of the same shape.
+
+        >>> ActionView.force_choices([-1.0, 0.0, 0.97]).tolist()
+        [0, 5, 10]
+        """
+        half = (FORCE_CHOICES - 1) // 2
+        # choices 0 to 2 half stand for -1 to 1, the one in the middle for no force
+        return np.rint(half * (1 + np.asarray(forces, dtype=np.float64))).astype(np.int64)
+
+    @staticmethod
+    def chosen_forces(chosen: ArrayLike) -> NDArray[np.float64]:
+        """Return the force component, quantized, that each choice means.
+
+        >>> ActionView.chosen_forces([0, 5, 10]).tolist()
+        [-1.0, 0.0, 1.0]
+        """
+        half = (FORCE_CHOICES - 1) // 2
+        return quantized((np.asarray(chosen, dtype=np.float64) - half) / half)
 
     def check(self, actions: ArrayLike, ids: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the actions of the ropes `ids` as float64 (n, size).
@@ -106,7 +127,7 @@ class ActionView:
             beads int64 (n,); forces float32 (n, 3), in units of the largest force.
         """
         if self.name == "bead":
-            forces = chosen_forces(self._actions[ids, 1:4])
+            forces = self.chosen_forces(self._actions[ids, 1:4])
             return self._actions[ids, 0].astype(np.int64), forces.astype(np.float32)
         if self.name == "decision":
             forces = self._actions[ids, 3 : 3 + 3 * LONGEST].reshape(len(ids), LONGEST, 3)

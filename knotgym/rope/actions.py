@@ -4,7 +4,7 @@ An action pulls the bead nearest to the point (x, y, z), given in units of `Rope
 the force (fx, fy, fz), given in units of `RopeConfig.max_force`.
 Source: arXiv 2505.18028.
 
-In the view "bead" the same pull is four whole numbers: the bead, and which of _FORCE_CHOICES forces
+In the view "bead" the same pull is four whole numbers: the bead, and which of FORCE_CHOICES forces
 each component has. These are evenly spaced from -1 to 1.
 
 A pull with a *quantized* force fits into four bytes: the bead, and three whole numbers of 1 / 127
@@ -38,7 +38,7 @@ FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 o
 # Odd, so that one of the forces is exactly 0. Of 64 of the expert's plans (tie nx 2, convert nx 3)
 # that are binned and replayed blindly, 43 still end in the same code with 11 choices, 29 with 5, 48
 # with 31; after one action the farthest bead is 3 mm off with 11, 8 mm with 5, 1 mm with 31.
-_FORCE_CHOICES = 11
+FORCE_CHOICES = 11
 # A pass takes 9 on average (notes/experiments.md). With another number decisions have another
 # width, and sets and learners of them can't be used any more.
 LONGEST = 10  # pulls of a macro-action or of a decision, at most
@@ -46,7 +46,7 @@ NEAR = 1 / 3  # metres from the rope's centre that 1 stands for in a decision; r
 DECISION = 3 + 4 * LONGEST  # numbers of a decision
 # Values of each whole number of an action, by view; 0 stands for the number of beads. Actions of
 # other views are numbers in [-1, 1].
-_CHOICES = {"bead": (0, _FORCE_CHOICES, _FORCE_CHOICES, _FORCE_CHOICES), "macro": (0, 0, 2)}
+_CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
 
 
 def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
@@ -107,27 +107,6 @@ def drawn_actions(key: tuple[int, ...], steps: int) -> NDArray[np.float32]:
     same key is a prefix of a longer one.
     """
     return Stream.generator_of(key).uniform(-1, 1, (steps, 6)).astype(np.float32)
-
-
-def force_choices(forces: ArrayLike) -> NDArray[np.int64]:
-    """Return the nearest choice for each force component in [-1, 1], int64 of the same shape.
-
-    >>> force_choices([-1.0, 0.0, 0.97]).tolist()
-    [0, 5, 10]
-    """
-    half = (_FORCE_CHOICES - 1) // 2
-    # choices 0 to 2 half stand for -1 to 1, the one in the middle for no force
-    return np.rint(half * (1 + np.asarray(forces, dtype=np.float64))).astype(np.int64)
-
-
-def chosen_forces(chosen: ArrayLike) -> Array:
-    """Return the force component, quantized, that each choice means.
-
-    >>> chosen_forces([0, 5, 10]).tolist()
-    [-1.0, 0.0, 1.0]
-    """
-    half = (_FORCE_CHOICES - 1) // 2
-    return quantized((np.asarray(chosen, dtype=np.float64) - half) / half)
 
 
 def action_space(view: str, beads: int) -> spaces.Space[NDArray[Any]]:

@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from knotgym.common import InvalidInput, configuration, inner
+from knotgym.rope import closed_curves
 from knotgym.rope.closed_curves import clearance, directions, equal_chords, require_embedded
 from knotgym.topology import same_spot
 
@@ -173,6 +174,9 @@ class Rope:
         # Chords between two sub-chains may have any length up to the gap that closures leave.
         self._next_in_chain = np.ones(beads, dtype=bool)
         self._next_in_chain[[last for _, last in self.config.chains]] = False
+
+    start_qpos = closed_curves.start_qpos
+    noised = staticmethod(closed_curves.noised)
 
     @property
     def nq(self) -> int:

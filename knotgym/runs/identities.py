@@ -81,9 +81,7 @@ def identity(
             origin = "shipped" if is_bundled(named) else "own"
             found = merged(found, {"states": {origin: resolve_states(named)}})
         for _, owner, named in Mark.fields(type(one), one, "policy"):
-            from knotgym.control import policy_files  # here, as most runs play no named policy
-
-            found = merged(found, {"policies": {named: policy_files(owner)}})
+            found = merged(found, {"policies": {named: owner.files()}})
     found = merged(found, files or {})
     whole = {
         "config": as_json(config) if fields is None else fields,

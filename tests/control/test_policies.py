@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidPolicy, Stream, Table
 from knotgym.control import policies
 from knotgym.control.own_policies import own_policy
-from knotgym.control.policies import make_policy, policy_files, register_policy, training_card
+from knotgym.control.policies import make_policy, register_policy
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
 from knotgym.control.recorded_policy import replay
 from knotgym.control.sampler import PolicyFamily, Pulls, SimplePolicy, rollouts
@@ -338,7 +338,7 @@ def test_a_module_in_the_current_folder_is_found_with_its_files(
     path = list(sys.path)
     assert played("left_alone:act", SEEDS[:1], 1).episodes["policy"][0] == "left_alone:act"
     assert sys.path == path
-    found = policy_files(PolicyConfig(policy="left_alone:act"))
+    found = PolicyConfig(policy="left_alone:act").files()
     assert {name: path.resolve() for name, path in found.items()} == {
         name: tmp_path / name for name in ("left_alone.py", "weights")
     }
@@ -349,7 +349,7 @@ def test_a_module_that_exits_is_an_invalid_policy(
 ) -> None:
     (tmp_path / "leaves_at_once.py").write_text("import sys\nsys.exit()\n")
     monkeypatch.chdir(tmp_path)
-    for call in (make_policy, policy_files):
+    for call in (make_policy, PolicyConfig.files):
         with pytest.raises(InvalidPolicy, match="SystemExit.*leaves_at_once.py, line 2"):
             call(PolicyConfig(policy="leaves_at_once:act"))
 
@@ -382,10 +382,10 @@ def test_a_registered_policy_is_made_by_its_name(
         )
     )
     assert make_policy(PolicyConfig(policy="restless")) is RANDOM
-    assert policy_files(PolicyConfig(policy="restless")) == {"weights": weights}
+    assert PolicyConfig(policy="restless").files() == {"weights": weights}
     weights.unlink()
     with pytest.raises(InvalidPolicy, match="weights"):
-        policy_files(PolicyConfig(policy="restless"))
+        PolicyConfig(policy="restless").files()
 
 
 def test_a_registered_constructor_that_exits_is_an_invalid_policy(
@@ -399,7 +399,7 @@ def test_a_registered_constructor_that_exits_is_an_invalid_policy(
 
 @pytest.mark.parametrize(("name", "tables"), [("expert", 2), ("planner", 2), ("random", 0)])
 def test_digests_are_of_the_planners_tables(name: str, tables: int) -> None:
-    assert len(policy_files(PolicyConfig(policy=name))) == tables
+    assert len(PolicyConfig(policy=name).files()) == tables
 
 
 still = PolicyFamily(
@@ -426,8 +426,11 @@ def test_another_package_s_family_makes_policies(provided: list[EntryPoint]) -> 
     provided.append(EntryPoint("still", "still_policies:still", policies.GROUP))
     config = PolicyConfig(policy="still:now")
     assert make_policy(config) is RANDOM
-    assert list(policy_files(config)) == ["this"]
-    assert training_card("still:now") == {"word": "now"} and training_card("random") is None
+    assert list(config.files()) == ["this"]
+    assert (
+        PolicyConfig(policy="still:now").card() == {"word": "now"}
+        and PolicyConfig(policy="random").card() is None
+    )
 
 
 def test_a_family_that_cannot_be_loaded_is_named_in_one_line(provided: list[EntryPoint]) -> None:

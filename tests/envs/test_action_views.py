@@ -14,7 +14,7 @@ from knotgym.datasets import write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
-from knotgym.rope import LONGEST, chosen_forces, force_choices, quantized
+from knotgym.rope import LONGEST, ActionView, quantized
 
 VIEWS = ("bead", "macro")
 
@@ -53,10 +53,10 @@ def test_a_view_has_its_space_and_survives_in_a_spec(
 
 
 def test_bins_have_a_zero_and_lie_on_the_grid_of_quantized_pulls() -> None:
-    forces = chosen_forces(np.arange(11))
+    forces = ActionView.chosen_forces(np.arange(11))
     assert forces[5] == 0 and forces[[0, -1]].tolist() == [-1, 1]
     assert np.array_equal(quantized(forces), forces)
-    assert force_choices(forces).tolist() == list(range(11))
+    assert ActionView.force_choices(forces).tolist() == list(range(11))
 
 
 def test_a_bead_action_pulls_that_bead(task: TaskConfig) -> None:
@@ -154,7 +154,7 @@ def test_an_invalid_action_leaves_the_rope_alone(
 def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:
     pull, bead, macro = (arrays(played, action=view) for view in ("pull", *VIEWS))
     assert np.array_equal(arrays(played)["actions"], macro["actions"])  # the environment's view
-    assert np.array_equal(bead["actions"][:, 1:], force_choices(pull["actions"][:, 3:]))
+    assert np.array_equal(bead["actions"][:, 1:], ActionView.force_choices(pull["actions"][:, 3:]))
     for name in ("observations", "rewards", "terminals"):
         assert np.array_equal(bead[name], pull[name])
     stops = np.cumsum(macro["pulls"])

@@ -91,14 +91,6 @@ Reports = tuple[int, list[tuple[int, Report]]]  # pulls since the orders; report
 Search = Generator[Orders, Reports, Result]
 
 
-def try_pass(
-    state: Array, move: Pass, goal: GaussCode, pulls: int = LONGEST, bound: TowBound | None = None
-) -> Search[Report]:
-    """Try a pass and return where it led; the arguments are those of `Trial`."""
-    _, ((_, landing),) = yield Orders({0: Trial(state, move, min(LONGEST, pulls), goal, bound)})
-    return landing
-
-
 @dataclass(eq=False)
 class _Seat:
     """A search and the ropes that are its slots."""
@@ -155,6 +147,14 @@ class BatchedSearch:
             if not self._waiting and not self._seats:
                 return
             yield from self.tick()
+
+    @staticmethod
+    def try_pass(
+        state: Array, move: Pass, goal: GaussCode, pulls: int = LONGEST, bound: Any = None
+    ) -> Search[Report]:
+        """Try a pass and return where it led; the arguments are those of `Trial`."""
+        _, ((_, landing),) = yield Orders({0: Trial(state, move, min(LONGEST, pulls), goal, bound)})
+        return landing
 
     def tick(self) -> list[tuple[Any, Any]]:
         """Begin searches that have room, take a pull in every slot; return keys and results."""

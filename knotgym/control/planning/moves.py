@@ -141,9 +141,9 @@ class Moves:
     """
 
     def __init__(
-        self, rows: Iterable[MoveRow] = (), templates: Sequence[PassTemplate] = ()
+        self, rows: Iterable[MoveRow] = (), templates: Iterable[Iterable[int]] = ()
     ) -> None:
-        self.templates = [*templates]
+        self.templates = [PassTemplate(*one) for one in templates]
         self.nodes: list[Diagram] = []
         self.index: dict[Diagram, int] = {}
         self.nx: list[int] = []
@@ -239,7 +239,7 @@ class Moves:
         if (kind := int(moves["kind"].max(initial=0))) >= len(KINDS):
             raise InvalidFile(f"{path} has moves of kind {kind}, and KINDS here has {len(KINDS)}")
         made = zip(*(moves[column.name].tolist() for column in MOVES.columns), strict=True)
-        table = cls(templates=[PassTemplate(*one) for one in made])
+        table = cls(templates=made)
         columns = (nodes[name].tolist() for name in ("visits", "signs", "outer"))
         counts = (nodes["visits"] != 0).sum(axis=1).tolist()
         for count, visits, signs, outer in zip(counts, *columns, strict=True):

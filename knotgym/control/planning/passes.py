@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.control.planning.batched_search import Report, Search, try_pass
+from knotgym.control.planning.batched_search import BatchedSearch, Report, Search
 from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight, first_goal
 from knotgym.control.policy_config import PassPlannerConfig
@@ -206,7 +206,7 @@ class PassSearch:
         for move, _ in islice(self.values.passes(goal, sight), candidates):
             if self.spent >= self.config.budget:
                 break
-            landing = yield from try_pass(state, move, goal, left, self.bound)
+            landing = yield from BatchedSearch.try_pass(state, move, goal, left, self.bound)
             self.spent += landing.pulls
             tried = TriedPass(points, move, landing)
             self.tried.append(tried)

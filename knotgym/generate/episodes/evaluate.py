@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, Occupied, Stream, atomic_write, require_output
-from knotgym.control import PolicyConfig, make_policy, rollouts, training_card
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.collect import blocks
@@ -227,7 +227,7 @@ def _claims(
 
 def _training(policy: str) -> dict[str, Any]:
     """Return what the card of a policy says of its training."""
-    card = training_card(policy) or {}
+    card = PolicyConfig(policy=policy).card() or {}
     return {name: card[name] for name in _TRAINING if name in card}
 
 
@@ -250,7 +250,6 @@ def _report(
         results: one for each setup.
         made_by: the run's identity.
     """
-    names = [one.policy for one in config.policies]
     success = [reached for one in results for reached in one.outcomes["success"]]
     starts = [f"{one.start_states} {row}" for one in results for row in one.outcomes["start"]]
     goals = [f"{one.goal_states} {row}" for one in results for row in one.outcomes["goal"]]
@@ -259,7 +258,9 @@ def _report(
         "interval": list(cluster_interval(success, starts, goals)),
         "episodes": len(success),
         **made_by,
-        "learners": {name: _training(name) for name in names if training_card(name) is not None},
+        "learners": {
+            one.policy: _training(one.policy) for one in config.policies if one.card() is not None
+        },
         "results": [asdict(one) for one in results],
     }
 
