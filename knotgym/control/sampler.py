@@ -21,13 +21,8 @@ from numpy.typing import NDArray
 
 from knotgym.common import Counts, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
-<<<<<<< HEAD
 from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown
-from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
-=======
-from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown, code_sizes
 from knotgym.envs import EpisodeBatch, TaskConfig
->>>>>>> 0ff19e0b (Nine names leave the doors of envs, topology and adapters: what belongs to a class is asked of it)
 
 Ids = NDArray[np.int64]
 

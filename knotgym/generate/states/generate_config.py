@@ -12,13 +12,8 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Seed, Share, choice, configuration
 from knotgym.drawing import DrawingConfig
-<<<<<<< HEAD
-from knotgym.envs import BEADS, TaskConfig
-from knotgym.quality import Limits
-=======
 from knotgym.envs import TaskConfig
-from knotgym.quality import UNTWISTED, Limits
->>>>>>> 0ff19e0b (Nine names leave the doors of envs, topology and adapters: what belongs to a class is asked of it)
+from knotgym.quality import Limits
 from knotgym.rope import CHAIN, ENGINES, MUJOCO
 from knotgym.states import SOURCES
 from knotgym.topology import (
