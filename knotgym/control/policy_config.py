@@ -5,6 +5,7 @@ Whether a policy of that name exists is found out when it is made, see `policies
 
 from math import inf
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any
 
 from pydantic import NonNegativeInt, PositiveInt
@@ -12,6 +13,7 @@ from pydantic import NonNegativeInt, PositiveInt
 from knotgym.common import InvalidPolicy, Mark, Share, configuration
 
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
+_TABLE = "knotgym.control.policies"  # it makes policies, so it is imported when asked
 _PLANNED = ("expert", "noisy", "play", "planner", "mixed")
 
 
@@ -91,12 +93,11 @@ class PolicyConfig:
 
     def files(self) -> dict[str, Path]:
         """Return each file that decides how the policy acts, see `policies.policy_files`."""
-        from knotgym.control.policies import policy_files
-
-        return policy_files(self)
+        found: dict[str, Path] = resolve_name(f"{_TABLE}:policy_files")(self)
+        return found
 
     def card(self) -> dict[str, Any] | None:
         """Return facts about the training of the policy; None if its family records none."""
-        from knotgym.control.policies import family_of
-
-        return family_of(self.policy).card(self.policy)
+        family: Any = resolve_name(f"{_TABLE}:family_of")(self.policy)
+        found: dict[str, Any] | None = family.card(self.policy)
+        return found
