@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.rope import LONGEST, NEAR, nearest_beads
+from knotgym.rope import ActionView, nearest_beads
 from knotgym.topology import GaussCode, find_crossings
 
 Array = NDArray[np.float64]
@@ -102,15 +102,15 @@ class CanonicalFrames(NamedTuple):
 
         Args:
             beads: int (n,), beads of the world.
-            forces: (n, LONGEST, 3) in the world, in units of the largest force.
-            made: (n, LONGEST), above 0 for the pulls that are made.
+            forces: (n, ActionView.LONGEST, 3) in the world, in units of the largest force.
+            made: (n, ActionView.LONGEST), above 0 for the pulls that are made.
             points: float64 (n, beads, 3), the ropes in the world, metres.
 
         Returns:
             float32 (n, 43), clipped to [-1, 1].
         """
         flat = self.vectors(forces).reshape(len(points), -1)
-        parts = [self.places(beads, points) / NEAR, flat, np.asarray(made)]
+        parts = [self.places(beads, points) / ActionView.NEAR, flat, np.asarray(made)]
         return np.concatenate(parts, axis=1).clip(-1, 1).astype(np.float32)
 
     def world_actions(
@@ -127,10 +127,10 @@ class CanonicalFrames(NamedTuple):
         if view == "macro":
             return self.macros(actions, points.shape[1])
         found = np.array(actions, dtype=np.float64)
-        vectors = found[:, 3 : 6 if view == "pull" else 3 + 3 * LONGEST]
+        vectors = found[:, 3 : 6 if view == "pull" else 3 + 3 * ActionView.LONGEST]
         vectors[:] = self.world_vectors(vectors.reshape(len(found), -1, 3)).reshape(vectors.shape)
         rows = np.arange(len(found))
-        unit = reach if view == "pull" else NEAR
+        unit = reach if view == "pull" else ActionView.NEAR
         beads = nearest_beads(self.points(points), unit * found[:, :3])
         own = points[rows, self.renumber(beads, points.shape[1])]
         found[:, :3] = (own if view == "pull" else own - self.centres) / unit

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
 from knotgym.envs import Marked, TaskConfig
-from knotgym.rope import LONGEST, NEAR
+from knotgym.rope import ActionView
 
 # Rows that a model is given at a time: a network's sums depend on their number, and an episode must
 # not depend on those beside it.
@@ -56,11 +56,11 @@ class RowPolicy:
         else:
             points = observations.reshape(len(observations), 2, -1, 3)[:, 0]
             points = points - points.mean(axis=1, keepdims=True)
-        wanted = (points.shape[1], 1 + 4 * LONGEST)
+        wanted = (points.shape[1], 1 + 4 * ActionView.LONGEST)
         if found.shape[1:] != wanted:
             raise InvalidPolicy(f"decisions of each bead are {wanted}, got {found.shape[1:]}")
         rows, beads = np.arange(len(found)), found[..., 0].argmax(axis=1)
-        decided = np.hstack([points[rows, beads] / NEAR, found[rows, beads, 1:]])
+        decided = np.hstack([points[rows, beads] / ActionView.NEAR, found[rows, beads, 1:]])
         return decided.clip(-1, 1).astype(np.float32)
 
 

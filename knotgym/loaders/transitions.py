@@ -21,7 +21,7 @@ from knotgym.datasets import Episodes, columns_of
 from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
-from knotgym.rope import LONGEST, ActionView, nearest_beads
+from knotgym.rope import ActionView, nearest_beads
 
 
 class Opening(TypedDict, total=False):
@@ -230,7 +230,7 @@ class Transitions:
             found[:, 3:] = frames.vectors(found[:, 3:])
             return {"actions": found.clip(-1, 1).astype(np.float32)}
         beads, after = steps["bead"][before].astype(np.int64), self._after[rows]
-        each = before[:, None] + np.arange(LONGEST)
+        each = before[:, None] + np.arange(ActionView.LONGEST)
         inside = np.minimum(each, after[:, None] - 1)
         # a macro-action ends where the next begins, or before a pull that is part of none
         made = ((each < after[:, None]) & (steps["macro_side"][inside] != 0)).cumprod(axis=1) > 0

@@ -1,7 +1,5 @@
 from .action_views import ActionView as ActionView
 from .actions import FORCE_BINS as FORCE_BINS
-from .actions import LONGEST as LONGEST
-from .actions import NEAR as NEAR
 from .actions import TowBound as TowBound
 from .actions import action_space as action_space
 from .actions import drawn_actions as drawn_actions

@@ -18,7 +18,7 @@ code doesn't end it: a crossing that has only just been made comes undone in the
 After a change run `pytest tests/envs/test_action_views.py`.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,8 @@ class ActionView:
     """Carries out agents' actions on the ropes of a simulation, pull by pull.
 
     Attributes:
+        LONGEST: most pulls of a macro-action or of a decision.
+        NEAR: metres from the rope's centre that 1 stands for in a decision.
         name: "pull", "bead", "macro" or "decision".
         counts: int64 (size,), how many values each whole number has; None if the numbers are in
             [-1, 1].
@@ -49,6 +51,9 @@ class ActionView:
         macros: int64 (count, 3), the current or last macro-action: bead, target, side (+1 over, -1
             under).
     """
+
+    LONGEST: ClassVar[int] = LONGEST
+    NEAR: ClassVar[float] = NEAR
 
     def __init__(self, view: str, simulation: Simulation) -> None:
         self.name, self._simulation = view, simulation

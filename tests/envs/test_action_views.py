@@ -14,7 +14,7 @@ from knotgym.datasets import write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
-from knotgym.rope import LONGEST, ActionView, quantized
+from knotgym.rope import ActionView, quantized
 
 VIEWS = ("bead", "macro")
 
@@ -81,10 +81,10 @@ def test_a_macro_action_ends_at_its_last_waypoint_or_after_ten_pulls(task: TaskC
         used.append(info["macro_pulls"])
         assert used[-1] == env.episodes.steps[0] - steps
         arrived = bool(env.episodes.view._controller.idle[0])
-        assert arrived or terminated or used[-1] == LONGEST
+        assert arrived or terminated or used[-1] == ActionView.LONGEST
         if terminated:
             _, info = env.reset()
-    assert min(used) >= 1 and max(used) == LONGEST and len(set(used)) > 2
+    assert min(used) >= 1 and max(used) == ActionView.LONGEST and len(set(used)) > 2
 
 
 def test_the_horizon_counts_pulls(task: TaskConfig) -> None:
@@ -159,7 +159,7 @@ def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:
         assert np.array_equal(bead[name], pull[name])
     stops = np.cumsum(macro["pulls"])
     starts = stops - macro["pulls"]
-    assert stops[-1] == len(pull["actions"]) and macro["pulls"].max() <= LONGEST
+    assert stops[-1] == len(pull["actions"]) and macro["pulls"].max() <= ActionView.LONGEST
     assert np.array_equal(macro["actions"][:, 0], bead["actions"][starts, 0])
     assert np.array_equal(macro["observations"], pull["observations"][starts])
     assert np.array_equal(macro["next_observations"], pull["next_observations"][stops - 1])

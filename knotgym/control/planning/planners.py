@@ -28,7 +28,7 @@ from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import (
-    LONGEST,
+    ActionView,
     Array,
     ChainSimulation,
     Pass,
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from knotgym.control.planning.pulls import PullPlan
 
 Ids = NDArray[np.int64]
+_LONGEST = ActionView.LONGEST
 SLOTS = 12  # most slots that a search of a policy of passes takes
 # The next two are about speed, and no result depends on them. Why these, no record says; the CPU
 # time of `knotgym collect --policy expert --engine chain` would tell.
@@ -133,7 +134,7 @@ class Desk:
         check.restore(state[None])
         follower.begin_passes(one, [move], check.points)
         pulls = 0
-        while pulls < LONGEST and not follower.arrive(check.points, one)[0]:
+        while pulls < _LONGEST and not follower.arrive(check.points, one)[0]:
             forces = follower.forces(check.points, one).astype(np.float64)
             stable = check.step(follower.beads, forces * check.max_force)[0]
             pulls += 1
@@ -189,14 +190,8 @@ class PullPlayer(Player):
             self._plans.pop(index, None)
             (goal,) = batch.goals_of(np.array([index]))
             # the budget left is that of the episode, whatever its earlier plans spent
-            search = PullSearch(
-                goal,
-                self._values,
-                config,
-                self._rngs[index],
-                int(batch.hold[index]),
-                batch.tow_bound(index),
-            )
+            own = self._rngs[index], int(batch.hold[index]), batch.tow_bound(index)
+            search = PullSearch(goal, self._values, config, *own)
             state = batch.simulation.states([index])[0]
             left = int(batch.task.horizon - batch.steps[index])
             budget = int(config.budget - self._spent[index])
@@ -267,7 +262,7 @@ class PassPlayer(Player):
         settled = self.settle(passing)
         # Waypoints that were reached are passed before anything is decided, so that a pass that is
         # over leads to a search in this very action.
-        over = follower.arrive(points, passing) | (self._taken[passing] >= LONGEST)
+        over = follower.arrive(points, passing) | (self._taken[passing] >= _LONGEST)
         self._search(self._without_plan(passing[over & ~settled]))
         self._last_resort.look(ids[self._by_pulls[ids]])
         self.desk.tick()

@@ -278,9 +278,8 @@ class PullSearch:
         spent, failures, look, most = 0, 0, _LOOK, self.config.batch_size
         while spent + most <= budget and steps > 0:
             check.restore(here.state[None])
-            made = yield from self.plan(
-                *in_chain(check), steps - here.steps, min(look, budget - spent)
-            )
+            left = min(look, budget - spent)
+            made = yield from self.plan(*in_chain(check), steps - here.steps, left)
             spent += made.spent
             if not made.solved and spent + most <= budget:
                 # too few pulls are left from here, or the goal is hard to find
