@@ -102,15 +102,9 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.act(np.asarray(action)[None], np.array([0]))
         info = self.episodes.info_rows(np.array([0]))[0]
-        ended = terminated[0] or truncated[0]
-        self._show("reached" if info["is_success"] else "failed" if ended else "")
-        return (
-            self.episodes.observation(0),
-            float(reward[0]),
-            bool(terminated[0]),
-            bool(truncated[0]),
-            info,
-        )
+        ends = bool(terminated[0]), bool(truncated[0])
+        self._show("reached" if info["is_success"] else "failed" if any(ends) else "")
+        return self.episodes.observation(0), float(reward[0]), *ends, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the rope and its goal, uint8 (views * size, 2 size, 3), in mode "rgb_array"."""
