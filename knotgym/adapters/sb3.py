@@ -13,7 +13,7 @@ def sb3_vec_env(
     Rope i of a VecEnv seeded with s behaves as `KnotEnv` seeded with s + i. As in
     Stable-Baselines3's own classes, an episode that ends is restarted at once: its last observation
     is `infos[i]["terminal_observation"]`, and `infos[i]["TimeLimit.truncated"]` says whether it was
-    truncated. Wrap the VecEnv in `VecMonitor` for returns and lengths.
+    truncated. It is wrapped in `VecMonitor`, so learners report returns and lengths of episodes.
 
     Args:
         task: "unknot", "tie" or "convert".
@@ -26,7 +26,9 @@ def sb3_vec_env(
         MissingExtra: Stable-Baselines3 isn't installed.
         InvalidInput: a setting is invalid.
     """
-    MissingExtra.imported("stable_baselines3", "pip install stable-baselines3")
+    envs = MissingExtra.imported(
+        "stable_baselines3.common.vec_env", "pip install stable-baselines3"
+    )
     from knotgym.adapters.batched_vec_env import BatchedVecEnv
 
-    return BatchedVecEnv(task, num_envs, threads, goals, settings)
+    return envs.VecMonitor(BatchedVecEnv(task, num_envs, threads, goals, settings))

@@ -102,7 +102,12 @@ def family_of(name: str) -> PolicyFamily:
     for one in _rows():
         if one.form == name if one.matches is None else one.matches(name):
             return one
-    raise InvalidPolicy(f"no policy {name!r}; use {', '.join(one.form for one in _rows())}")
+    several = (
+        "; for several repeat --policy of evaluate, or collect each and `knotgym dataset merge` them"
+    )
+    raise InvalidPolicy(
+        f"no policy {name!r}; use {', '.join(one.form for one in _rows())}{several * (',' in name)}"
+    )
 
 
 @cache
