@@ -127,7 +127,8 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
         )
         outcome = "reached" if own["success"][row] else "failed"
         name = f"{opened[number].name}  " if len(opened) > 1 else ""
-        captions = (code, f"{name}episode {row}", f"{outcome}, goal {goal}")
+        end = outcome if own["success"][row] else f"{outcome}, goal {goal}"
+        captions = (code, f"{name}episode {row}", end)
         points = steps["observation"][last].astype(np.float64)
         tiles.append(Tile(draw_diagram(points), captions, Film.OUTCOMES[outcome]))
     return tiles
