@@ -102,9 +102,7 @@ def family_of(name: str) -> PolicyFamily:
     for one in _rows():
         if one.form == name if one.matches is None else one.matches(name):
             return one
-    several = (
-        "; for several repeat --policy of evaluate, or collect each and `knotgym dataset merge` them"
-    )
+    several = "; for several, repeat evaluate's --policy, or `dataset merge` what each collected"
     raise InvalidPolicy(
         f"no policy {name!r}; use {', '.join(one.form for one in _rows())}{several * (',' in name)}"
     )
