@@ -71,7 +71,7 @@ def timed(simulation: Simulation, actions: list[tuple[Any, Array]]) -> float:
 
 def traced(simulation: Simulation, qpos: Array, actions: list[tuple[Any, Array]]) -> Array:
     """Points after each action: (actions, ropes, beads, 3)."""
-    simulation.lay(qpos)
+    simulation.set_qpos(qpos)
     after = []
     for beads, forces in actions:
         simulation.step(beads, forces)
@@ -89,7 +89,7 @@ def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = read_states(shipped("random-walk"), images=False).qpos[: args.ropes]
     engines = [simulation(MUJOCO, len(qpos)), ChainSimulation(len(qpos))]
     for engine in engines:
-        engine.lay(qpos)
+        engine.set_qpos(qpos)
         timed(engine, pulls(len(qpos), 1, rng))
     spent = []
     for _ in range(args.repeats):

@@ -41,7 +41,7 @@ def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
 def engine_rate(qpos: Any) -> float:
     """Return the pulls a CPU second of the chain engine from ropes at rest."""
     simulation, rng = ChainSimulation(len(qpos)), np.random.default_rng(0)
-    simulation.lay(qpos)
+    simulation.set_qpos(qpos)
     beads = rng.integers(100, size=(PULLS, len(qpos)))
     forces = rng.uniform(-1, 1, (PULLS, len(qpos), 3)) * simulation.max_force
 

@@ -235,9 +235,9 @@ class Ropes:
         found = [self._states.points[rows[: count // 16]]]
         found.append(self._drawn[rng.integers(len(self._drawn), size=count // 32)])
         for ropes, part in ((self._mujoco, count // 64), (self._chain, count)):
-            ropes.lay(self._states.qpos[rng.integers(len(self._states), size=ropes.count)])
+            ropes.set_qpos(self._states.qpos[rng.integers(len(self._states), size=ropes.count)])
             half = np.arange(ropes.count // 2)
-            ropes.lay(np.repeat(self._coil[None], len(half), axis=0), half)
+            ropes.set_qpos(np.repeat(self._coil[None], len(half), axis=0), half)
             until = min(count, sum(map(len, found)) + part)
             while sum(map(len, found)) < until:
                 ropes.act(rng.uniform(-1, 1, (ropes.count, 6)).astype(np.float32))

@@ -265,7 +265,7 @@ def play(engine: str, number: int, count: int, length: int) -> dict[str, Any]:
     if isinstance(ropes, ChainSimulation):
         strength, fine = (1, 10)[number // 6 % 2], bool(number // 12 % 2)
         ropes.schedule = (1,) * sum(ropes.schedule) if fine else ropes.schedule
-    ropes.lay(starts(ropes))
+    ropes.set_qpos(starts(ropes))
     knots = [*map(knot, ropes.points)]
     for step in range(length):
         states, before = ropes.states(), ropes.points.copy()

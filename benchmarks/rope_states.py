@@ -17,7 +17,7 @@ def tangled(
     """Yield `count` configurations (beads, 3) with `least` to `most` crossings."""
     simulation = simulation_of(ROPES, RopeConfig(), CHAIN)
     start = simulation.rope.qpos(PhasedPulls.coil(simulation.rope))
-    simulation.lay(np.repeat(start[None], ROPES, axis=0))
+    simulation.set_qpos(np.repeat(start[None], ROPES, axis=0))
     given = 0
     while given < count:
         for _ in range(EVERY):

@@ -84,7 +84,7 @@ def _measured() -> Iterator[tuple[str, str]]:
     ]
     for engine, title, count, stops in plans:
         ropes = simulation_of(count, RopeConfig(), engine)
-        ropes.lay(states.qpos[:: len(states) // count][:count])
+        ropes.set_qpos(states.qpos[:: len(states) // count][:count])
         for action in range(1, stops[-1] + 1):
             ropes.act(rng.uniform(-1, 1, (count, 6)).astype(np.float32))
             if action in stops:

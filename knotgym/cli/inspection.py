@@ -127,7 +127,7 @@ def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
         )
     end, rope = states.points[row], RopeConfig.of(states.points.shape[1])
     simulation = simulation_of(1, rope, states.engine)
-    simulation.lay(states.source["start_qpos"][row][None])
+    simulation.set_qpos(states.source["start_qpos"][row][None])
     ropes, pulls = [simulation.points[0].copy()], []
     for action in states.source["actions"][row, : states.source["steps"][row]]:
         beads, forces = simulation.read_actions(action[None])

@@ -142,11 +142,11 @@ class EpisodeDataset:
 
         (own, steps), episode = self.episodes, self.episodes.episode_of()
         observer, goals = Observer(self.task), own["goal_points"].astype(np.float64)
-        shown = observer.looks(zip(own["goal"].tolist(), goals, strict=True))
+        shown = observer.appearances(zip(own["goal"].tolist(), goals, strict=True))
         points, each = steps["observation"].astype(np.float64), [shown[k] for k in episode]
         if not beside_goals:
-            return observer.alone(points, each)
-        halves = observer.alone(goals, shown)
+            return observer.draw_ropes(points, each)
+        halves = observer.draw_ropes(goals, shown)
         return observer.pixels(points, [halves[k] for k in episode], each)
 
     def drawn(self, sample: int) -> "EpisodeDataset":

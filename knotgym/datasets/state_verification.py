@@ -253,7 +253,7 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Arra
     if not left:
         return {}
     ropes = simulation(states.engine, len(left), rope, threads=0)
-    ropes.lay(states.source["start_qpos"][left])
+    ropes.set_qpos(states.source["start_qpos"][left])
     # rows of different lengths share a simulation: those that are done are not stepped
     whole = np.ones(len(left), dtype=bool)
     lengths = np.array([len(actions[row]) for row in left])

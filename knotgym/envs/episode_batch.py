@@ -197,7 +197,7 @@ class EpisodeBatch:
         self.goal_row[ids], self.start_qpos[ids] = rows["goal"], rows["start_qpos"]
         hold = np.asarray(rows.get("hold", 0))
         self.hold[ids] = np.where(hold, hold, self.task.hold)
-        self.simulation.lay(self.start_qpos[ids], ids)
+        self.simulation.set_qpos(self.start_qpos[ids], ids)
         self.centre[ids] = TowBound.centres(self.simulation.points[ids])
         self.steps[ids] = self.held[ids] = 0
         self.failed[ids] = self.towed[ids] = False
@@ -332,7 +332,7 @@ class EpisodeBatch:
 
     def observation(self, index: int) -> Any:
         """Return the observation of episode `index`, of the kind `task.observation`."""
-        return Observer.each(self.observations(np.array([index])), itemgetter(0))
+        return Observer.map_parts(self.observations(np.array([index])), itemgetter(0))
 
     def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
@@ -425,8 +425,8 @@ class EpisodeBatch:
         goals = self.goal_row[ids].tolist()
         for goal in set(goals) - self._goal_images.keys():
             rope = self.goals.points[[goal]]
-            shown = self._observer.looks([(goal, rope[0])])
-            self._goal_images[goal] = self._observer.alone(rope, shown)[0], shown[0]
+            shown = self._observer.appearances([(goal, rope[0])])
+            self._goal_images[goal] = self._observer.draw_ropes(rope, shown)[0], shown[0]
         pictures = [self._goal_images[goal][0] for goal in goals]
         own_looks = [self._goal_images[goal][1] for goal in goals]
         points, threads = self.simulation.points[ids], self.simulation.threads

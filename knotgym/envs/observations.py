@@ -60,7 +60,7 @@ class Observer:
         }
         return spaces.Dict(seen) if task.observation == "both" else seen[task.observation]
 
-    def looks(self, goals: Iterable[tuple[int, ArrayLike]]) -> list[Appearance | None]:
+    def appearances(self, goals: Iterable[tuple[int, ArrayLike]]) -> list[Appearance | None]:
         """Return the appearance of each episode's pictures; None for the published one.
 
         Args:
@@ -72,7 +72,7 @@ class Observer:
         size = self.task.image_size
         return [drawer.for_episode(_stored(points), size, row) for row, points in goals]
 
-    def alone(
+    def draw_ropes(
         self, points: ArrayLike, looks: Sequence[Appearance | None], **drawn: Any
     ) -> NDArray[np.uint8]:
         """Draw ropes (n, beads, 3), metres, each as its episode looks; see `draw`."""
@@ -94,8 +94,8 @@ class Observer:
 
         Args:
             points: float64 (n, beads, 3), metres.
-            goal_pictures: uint8 (views * size, size, 3 or 4) each, the goals drawn `alone`.
-            looks: of each rope, see `looks`.
+            goal_pictures: uint8 (views * size, size, 3 or 4) each, the goals drawn by `draw_ropes`.
+            looks: of each rope, see `appearances`.
             threads: that draw them; one by default. MuJoCo's renderer works on one.
 
         Returns:
@@ -107,9 +107,9 @@ class Observer:
 
         def part(rows: slice) -> None:
             if any(looks):
-                seen[rows, :, :size] = self.alone(ropes[rows], looks[rows])
+                seen[rows, :, :size] = self.draw_ropes(ropes[rows], looks[rows])
             else:
-                self.alone(ropes[rows], (), out=seen[rows])
+                self.draw_ropes(ropes[rows], (), out=seen[rows])
             goals = np.concatenate(goal_pictures[rows])
             seen[rows, :, size:] = goals.reshape(-1, height, size, picture.channels)
 
@@ -175,10 +175,10 @@ class Observer:
         return padded
 
     @staticmethod
-    def each(seen: Any, function: Callable[[Any], Any]) -> Any:
+    def map_parts(seen: Any, function: Callable[[Any], Any]) -> Any:
         """Apply a function to an observation; to both parts of one of the kind "both"."""
         if isinstance(seen, dict):
-            return {name: Observer.each(part, function) for name, part in seen.items()}
+            return {name: Observer.map_parts(part, function) for name, part in seen.items()}
         return function(seen)
 
 

@@ -192,7 +192,7 @@ class Agent:
             if highest >= _ENOUGH or left < _PLANNER.batch_size:
                 break
             ropes, velocities = episode.hypotheses.ropes[:1], episode.hypotheses.velocities[:1]
-            self._believed.lay_points(ropes, velocities, [0])
+            self._believed.set_points(ropes, velocities, [0])
             state = self._believed.states([0])[0]
             search = PullSearch(episode.goal, PassValues.of_split(), _PLANNER, episode.rng)
             found = search.plan(state, ropes[0], episode.horizon - episode.step, left)
@@ -223,7 +223,7 @@ class Agent:
         # copy 0 stays the most likely hypothesis itself
         points[1:] = perturb_heights(points[1:], _HEIGHT_NOISE, rng)
         chain, copies = self._believed, np.arange(len(points))
-        chain.lay_points(points, velocities, copies)
+        chain.set_points(points, velocities, copies)
         reached = np.zeros(len(points), dtype=bool)
         middle = episode.hypotheses.position.positions.mean(axis=0)
         for bead, force, named in pulls:

@@ -363,7 +363,7 @@ def imagine(
         Points and velocities after it.
     """
     ids = np.arange(len(points))
-    chain.lay_points(points, velocities, ids)
+    chain.set_points(points, velocities, ids)
     chain.step(beads, chain.max_force * forces, ids)
     return chain.points[ids], chain.velocities(ids)
 

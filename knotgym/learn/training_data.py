@@ -1,8 +1,8 @@
 """What learners are trained on: states and pulls of datasets, decisions, and searched passes.
 
 A clone imitates passes that the expert's search finds, and learns what it tried in vain. A search
-begins in a start of the task, after up to _WANDER random passes, so that ropes lie in more ways
-than the states of a set. All of its passes are examples: those on the way to the goal are to be
+begins in a start of the task, after up to _RANDOM_PREFIX random passes, so that ropes lie in more
+ways than the states of a set. All of its passes are examples: those that lead to the goal are to be
 imitated; others didn't work. Where a pass led to another code, that code is one more goal that it
 works for. Beads may be numbered from any other one: then the rope shows the goal's place in the
 code, and the code that it ends in, read from there.
@@ -36,7 +36,7 @@ from knotgym.topology import CodeArrays, GaussCode, label
 TOGETHER = 250  # searches of one call
 _ROPES = 128  # that are searched in side by side
 # Of these only the budget has a measurement.
-_WANDER = 2  # random passes before a search, at most
+_RANDOM_PREFIX = 2  # random passes before a search, at most
 # A search that finds a way finds it early: at tie nx 3 one of budget 2,000 simulates 240 pulls on
 # average, most of them in searches that fail.
 _SEARCH = PassPlannerConfig(budget=500)
@@ -193,10 +193,11 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     values = PassValues.of_split(config.split, every_code=True)
     rngs = [Stream.DEMONSTRATION.generator(seed) for seed in seeds]
     states, goals = batch.simulation.states(ids), batch.goals_of(ids)
-    wanders = [
-        [Pass.drawn(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs
+    prefixes = [
+        [Pass.drawn(setup.beads, rng) for _ in range(rng.integers(_RANDOM_PREFIX + 1))]
+        for rng in rngs
     ]
-    given = zip(states, batch.simulation.points[ids].copy(), goals, wanders, strict=True)
+    given = zip(states, batch.simulation.points[ids].copy(), goals, prefixes, strict=True)
     # numbered by the order in which they were given, though they end in any order
     search = BatchedSearch(_ROPES)
     found = dict(search.run(_found(*one, values) for one in given))
@@ -219,10 +220,10 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
 
 
 def _found(
-    state: Array, points: Array, goal: GaussCode, wander: Sequence[Pass], values: PassValues
+    state: Array, points: Array, goal: GaussCode, prefix: Sequence[Pass], values: PassValues
 ) -> Generator[Any, Any, PassPlan]:
     """Search a way from where random passes lead, unless they lead to the goal."""
-    for move in wander:
+    for move in prefix:
         landing = yield from BatchedSearch.try_pass(state, move, goal)
         # a start that shows its goal would have nothing to find
         if landing.lost or landing.code.matches(goal):

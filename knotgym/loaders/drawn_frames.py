@@ -228,12 +228,14 @@ class DrawnFrames:
         of = self._dataset.episodes.offsets
         episodes = np.searchsorted(of, np.minimum(ids, self._rows - 1), side="right") - 1
         episodes = np.where(ids >= self._rows, ids - self._rows, episodes)
-        return self._observer.alone(points, [self._looks[k] for k in episodes])
+        return self._observer.draw_ropes(points, [self._looks[k] for k in episodes])
 
     @cached_property
     def _looks(self) -> list[Any]:
         own = self._dataset.episodes.episodes
-        return self._observer.looks(zip(own["goal"].tolist(), own["goal_points"], strict=True))
+        return self._observer.appearances(
+            zip(own["goal"].tolist(), own["goal_points"], strict=True)
+        )
 
     @cached_property
     def _observer(self) -> Observer:

@@ -37,7 +37,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
         if not isinstance(index, (int, np.integer)):
             return self._batch(index)
-        return Observer.each(self._batch([index]), itemgetter(0))
+        return Observer.map_parts(self._batch([index]), itemgetter(0))
 
     def _batch(self, index: Sequence[int]) -> dict[str, Any]:
         window, rng = self.transitions.window, None
@@ -47,7 +47,9 @@ class TransitionDataset(Dataset[dict[str, Any]]):
             rng = Stream.SAMPLED_GOALS.generator(window.goals.seed, drawn)
         several = self.transitions.batch(index, rng=rng)
         return {
-            name if name in _SEVERAL else name.removesuffix("s"): Observer.each(column, _tensor)
+            name if name in _SEVERAL else name.removesuffix("s"): Observer.map_parts(
+                column, _tensor
+            )
             for name, column in several.items()
         }
 

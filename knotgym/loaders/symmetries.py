@@ -149,7 +149,7 @@ class Symmetries(Symmetry):
                 made[name] = np.asarray(values)
             else:
                 raise InvalidInput(f"no symmetry is known for {name!r} of a batch; leave it out")
-        return dict(Observer.each(made, itemgetter(kept)))
+        return dict(Observer.map_parts(made, itemgetter(kept)))
 
     @property
     def _quarters(self) -> NDArray[np.int64]:
@@ -161,7 +161,7 @@ class Symmetries(Symmetry):
 
     def observations(self, seen: Any) -> Any:
         """Map observations, as `applied` does."""
-        return Observer.each(seen, self._observations)
+        return Observer.map_parts(seen, self._observations)
 
     def _observations(self, seen: ArrayLike) -> Array:
         values = np.asarray(seen)

@@ -46,7 +46,7 @@ def simulation(
 def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simulation:
     """Return this process's simulation of `count` ropes, creating it on the first call.
 
-    The caller must lay or restore every rope before use, and must be done with the simulation
+    The caller must set or restore every rope before use, and must be done with the simulation
     before it is requested again.
     """
     from knotgym.rope.model import Rope

@@ -83,7 +83,7 @@ class Simulation(ABC):
         """Set ropes to states that `states` returned, with this engine and the same model."""
 
     @abstractmethod
-    def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
+    def set_qpos(self, qpos: ArrayLike, ids: Ids = None) -> None:
         """Reset ropes to rest at generalized positions float64 (len(ids), nq).
 
         Nothing of their earlier state is kept.

@@ -49,7 +49,7 @@ class MujocoSimulation(Simulation):
         self._batch.state[where] = states
         self.points[where] = self.rope.points(self._qpos[where])
 
-    def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
+    def set_qpos(self, qpos: ArrayLike, ids: Ids = None) -> None:
         where = self._all(ids)
         # without a forward step: velocities, warm start and time become 0, as after `mj_resetData`,
         # so an episode begins alike whatever the rope did before

@@ -113,7 +113,7 @@ def test_examples_lead_where_they_say_in_any_frame_and_numbering() -> None:
     count = len(one.worked)
     assert count > 60 and len(np.unique(one.goal, axis=0)) == 1  # the frame makes both kinks one
     ropes, follower = ChainSimulation(count), WaypointFollower(count)
-    ropes.lay_points(one.points.astype(np.float64), np.zeros((count, 100, 3)))
+    ropes.set_points(one.points.astype(np.float64), np.zeros((count, 100, 3)))
     passes = np.column_stack([one.macros[:, :2], 2 * one.macros[:, 2].astype(int) - 1])
     ids, goal = np.arange(count), GaussCode.parse("1+,1-")
     follower.begin_passes(ids, passes, ropes.points)

@@ -63,7 +63,7 @@ def test_an_image_of_a_step_is_the_step_of_the_image(
         (images, drawn.beads(beads), drawn.vectors(force)),
     ):
         ropes = simulation_of(engine, COUNT, rope)
-        ropes.lay(start)
+        ropes.set_qpos(start)
         ropes.step(bead, pull * ropes.max_force)
         ends.append(ropes.points.copy())
     off = np.abs(drawn.vertices(ends[0]) - ends[1]).max(axis=(1, 2))  # metres

@@ -53,7 +53,7 @@ def moved(chain: ChainSimulation, force: Array, seconds: float, substeps: int) -
 
 def laid(rope: Rope, nx: int = 1) -> ChainSimulation:
     chain = ChainSimulation(1, rope)
-    chain.lay(rope.qpos(rope.from_curve(curled(nx)))[None])
+    chain.set_qpos(rope.qpos(rope.from_curve(curled(nx)))[None])
     return chain
 
 
@@ -212,7 +212,7 @@ def test_a_rope_rotated_and_pulled_alike_stays_a_rotated_copy(
     ends = []
     for own, spin in ((qpos, np.array([1.0, 0, 0, 0])), (turned(qpos, rope, turn), turn)):
         simulation = kind(1, rope)
-        simulation.lay(own[None])
+        simulation.set_qpos(own[None])
         for force in (PULL, -PULL[::-1], PULL[[1, 2, 0]]):
             f = force + 2 * np.cross(spin[1:], np.cross(spin[1:], force) + spin[0] * force)
             simulation.step([BEAD], f[None])

@@ -56,7 +56,7 @@ def test_a_torn_rope_is_told(rope: Rope) -> None:
     qpos[rope.model.jnt_qposadr[rope.model.body_jntadr[1]] + 2] += (
         0.5  # one sub-chain far above the others
     )
-    simulation.lay(qpos[None])
+    simulation.set_qpos(qpos[None])
     assert simulation.act(np.zeros((1, 6))).tolist() == [False]
 
 
@@ -65,7 +65,7 @@ def test_an_eased_step_says_which_share_of_the_force_it_applied(row: int, share:
     qpos, actions = rough_play(row)
     simulation, other = MujocoSimulation(1), MujocoSimulation(1)
     for one in (simulation, other):
-        one.lay(qpos[None])
+        one.set_qpos(qpos[None])
     for action in actions:
         beads, asked = other.read_actions(action[None])
         simulation.act(action[None])

@@ -25,7 +25,7 @@ def laid(engine: str, count: int, threads: int = 1) -> Simulation:
     """Ropes of 0 to 4 curls, in turn."""
     ropes = simulation(engine, count, Rope(), threads)
     curls = np.stack([ropes.rope.qpos(ropes.rope.from_curve(curled(nx))) for nx in range(5)])
-    ropes.lay(curls[np.arange(count) % 5])
+    ropes.set_qpos(curls[np.arange(count) % 5])
     return ropes
 
 
@@ -95,8 +95,8 @@ def test_a_rope_laid_forgets_what_it_did_and_leaves_the_others(engine: str) -> N
     ropes, fresh = laid(engine, 3), laid(engine, 3)
     before = moved(ropes, 3)
     qpos = ropes.rope.qpos(ropes.rope.from_curve(curled(2)))[None]
-    ropes.lay(qpos, [1])
-    fresh.lay(qpos, [1])
+    ropes.set_qpos(qpos, [1])
+    fresh.set_qpos(qpos, [1])
     assert np.array_equal(ropes.states([0, 2]), before[[0, 2]])
     assert np.array_equal(moved(ropes, 2, ids=[1]), moved(fresh, 2, ids=[1]))
 
@@ -163,7 +163,7 @@ def test_a_rope_whose_state_is_not_finite_is_told_and_its_neighbours_move_as_eve
         assert ropes.act(np.full((3, 6), 0.3)).tolist() == [True, False, True]
         other.act(np.full((3, 6), 0.3))
     assert np.array_equal(ropes.states([0, 2]), other.states([0, 2]))
-    ropes.lay(ropes.rope.qpos(ropes.rope.loop())[None], [1])
+    ropes.set_qpos(ropes.rope.qpos(ropes.rope.loop())[None], [1])
     assert ropes.act(np.zeros((3, 6))).all()
 
 

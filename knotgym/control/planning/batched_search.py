@@ -93,7 +93,7 @@ Search = Generator[Orders, Reports, Result]
 
 
 @dataclass(eq=False)
-class _Seat:
+class _Job:
     """A search and the ropes that are its slots."""
 
     key: Any
@@ -128,7 +128,7 @@ class BatchedSearch:
         self._pulls, self._limit = np.zeros((2, count), np.int64)
         self._going, self._lost, self._hauled = np.zeros((3, count), bool)
         self._origin, self._reach = np.zeros((count, 3)), np.full(count, np.inf)  # of the bounds
-        self._free, self._seats = [*range(count)], dict[int, _Seat]()  # seats by their ropes
+        self._free, self._jobs = [*range(count)], dict[int, _Job]()  # jobs by their ropes
         self._waiting = deque[tuple[Any, int, Search[Any]]]()
 
     def add(self, key: Any, search: Search[Any], slots: int = 1) -> None:
@@ -145,7 +145,7 @@ class BatchedSearch:
             # that it starts from.
             while len(self._waiting) < self.ropes.count and (item := next(waiting, None)):
                 self.add(*item, slots)
-            if not self._waiting and not self._seats:
+            if not self._waiting and not self._jobs:
                 return
             yield from self.tick()
 
@@ -161,22 +161,22 @@ class BatchedSearch:
 
     def tick(self) -> list[tuple[Any, Any]]:
         """Begin searches that have room, take a pull in every slot; return keys and results."""
-        new = list[tuple[_Seat, Reports | None]]()
+        new = list[tuple[_Job, Reports | None]]()
         # In the order in which they came, even if a later one would fit: which runs when changes
         # only the time, never a result.
         while self._waiting and len(self._free) >= self._waiting[0][1]:
             key, slots, search = self._waiting.popleft()
-            seat = _Seat(key, search, [self._free.pop() for _ in range(slots)])
-            self._seats |= dict.fromkeys(seat.ropes, seat)
-            new.append((seat, None))
+            job = _Job(key, search, [self._free.pop() for _ in range(slots)])
+            self._jobs |= dict.fromkeys(job.ropes, job)
+            new.append((job, None))
         ended = self._go_on(new)
         ids = np.flatnonzero(self._going)
         if len(ids):
             news = self._pull(ids)
-            seats = [*dict.fromkeys(self._seats.values())]
-            for seat in seats:
-                seat.pulls += 1
-            due = [rope for seat in seats if seat.pulls >= seat.wake for rope in seat.ropes[:1]]
+            jobs = [*dict.fromkeys(self._jobs.values())]
+            for job in jobs:
+                job.pulls += 1
+            due = [rope for job in jobs if job.pulls >= job.wake for rope in job.ropes[:1]]
             # all reports come before any search goes on, which may change the ropes
             ended += self._go_on(self._reports(news, due))
         return ended
@@ -184,35 +184,35 @@ class BatchedSearch:
     def drop(self, key: Any) -> None:
         """Forget a search that is queued or under way."""
         self._waiting = deque(one for one in self._waiting if one[0] != key)
-        for seat in {seat for seat in self._seats.values() if seat.key == key}:
-            self._leave(seat)
+        for job in {job for job in self._jobs.values() if job.key == key}:
+            self._leave(job)
 
-    def _go_on(self, woken: list[tuple[_Seat, Reports | None]]) -> list[tuple[Any, Any]]:
+    def _go_on(self, woken: list[tuple[_Job, Reports | None]]) -> list[tuple[Any, Any]]:
         """Send reports to searches, until each wants a pull to be taken, or ends."""
         ended = []
         while woken:
             begun = dict[int, Trial]()
-            for seat, reports in woken:
+            for job, reports in woken:
                 try:
                     # The first thing sent to a generator must be None; after that, what became of
                     # its trials.
-                    orders = seat.search.send(reports)  # type: ignore[arg-type]
+                    orders = job.search.send(reports)  # type: ignore[arg-type]
                 except StopIteration as end:
-                    self._leave(seat)
-                    ended.append((seat.key, end.value))
+                    self._leave(job)
+                    ended.append((job.key, end.value))
                 else:
-                    seat.wake, seat.pulls = orders.wake, 0
-                    begun |= {seat.ropes[slot]: trial for slot, trial in orders.trials.items()}
+                    job.wake, job.pulls = orders.wake, 0
+                    begun |= {job.ropes[slot]: trial for slot, trial in orders.trials.items()}
             # Trials that are over without a pull are reported at once, so that no search waits a
             # tick for nothing.
             woken = self._reports(self._begin(begun), []) if begun else []
         return ended
 
-    def _leave(self, seat: _Seat) -> None:
-        self._going[seat.ropes] = False
-        self._free += seat.ropes
-        for rope in seat.ropes:
-            del self._seats[rope]
+    def _leave(self, job: _Job) -> None:
+        self._going[job.ropes] = False
+        self._free += job.ropes
+        for rope in job.ropes:
+            del self._jobs[rope]
 
     def _begin(self, begun: dict[int, Trial]) -> list[int]:
         """Begin trials, by rope; return those that are over without a pull."""
@@ -275,7 +275,7 @@ class BatchedSearch:
         self._going[ids[over]] = False
         return ids[news].tolist()
 
-    def _reports(self, news: list[int], due: list[int]) -> list[tuple[_Seat, Reports | None]]:
+    def _reports(self, news: list[int], due: list[int]) -> list[tuple[_Job, Reports | None]]:
         """Reports on ropes with news, by their searches; empty ones for searches that are due."""
         ropes, found = self.ropes, dict[int, Report]()
         for rope, state in zip(news, ropes.states(news) if news else (), strict=True):
@@ -285,8 +285,8 @@ class BatchedSearch:
             beads = np.array(lane.beads, np.int64)
             found[rope] = Report(state, points, lane.code, *facts, beads, forces)
         # each search once, however many of its ropes have news
-        woken = [*dict.fromkeys(self._seats[rope] for rope in (*news, *due))]
+        woken = [*dict.fromkeys(self._jobs[rope] for rope in (*news, *due))]
         return [
-            (seat, (seat.pulls, [(k, found[r]) for k, r in enumerate(seat.ropes) if r in found]))
-            for seat in woken
+            (job, (job.pulls, [(k, found[r]) for k, r in enumerate(job.ropes) if r in found]))
+            for job in woken
         ]

@@ -20,7 +20,7 @@ from knotgym.rope import ActionView, Array, MacroAction, Pass, WaypointFollower,
 from knotgym.topology import GaussCode
 
 _LONGEST = ActionView.LONGEST
-_WANDERING = 0.5  # share of noisy episodes that begin with a random pass; not measured
+_PREFIXED = 0.5  # share of noisy episodes that begin with a random pass; not measured
 
 
 class ScriptedPlayer(Player):
@@ -56,7 +56,7 @@ class NoisyPlayer(Player):
         self._inner, self._batch, self._noise = PassPlayer(config, batch), batch, config.noise
         self._rngs: dict[int, np.random.Generator] = {}
         self._drawn = np.full(batch.count, -1)  # the step of which it was drawn whether it is noisy
-        self._noisy, self._wandering = np.zeros((2, batch.count), bool)
+        self._noisy, self._in_prefix = np.zeros((2, batch.count), bool)
         self.planned = self._inner.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
@@ -67,8 +67,8 @@ class NoisyPlayer(Player):
         for index, rng in zip(ids.tolist(), own, strict=True):
             self._rngs[index] = rng
             # The first draws of an episode: whether it wanders, and where to.
-            self._wandering[index] = rng.random() < _WANDERING
-            if self._wandering[index]:
+            self._in_prefix[index] = rng.random() < _PREFIXED
+            if self._in_prefix[index]:
                 self._inner.lead(index, Pass.drawn(beads, rng))
 
     def act(self, ids: Ids) -> Pulls:
@@ -88,8 +88,8 @@ class NoisyPlayer(Player):
         # nobody chose the random pass: it is none of the macro-actions that learners imitate
         assert inner.macros is not None
         chosen = (inner.macros[:, 0] > 0) & (self._batch.steps[inner.ids] > 0)
-        self._wandering[np.concatenate([noisy, inner.ids[chosen]])] = False
-        inner.macros[self._wandering[inner.ids]] = 0
+        self._in_prefix[np.concatenate([noisy, inner.ids[chosen]])] = False
+        inner.macros[self._in_prefix[inner.ids]] = 0
         return _together([Pulls(noisy, beads, forces), inner])
 
 
@@ -152,9 +152,9 @@ class PlayPlayer(PassPlayer):
         # as many as a search has slots: all are simulated side by side, for the price of little
         # more than one
         passes = [Pass.drawn(beads, rng) for _ in range(SLOTS)]
-        (state,), _ = self.desk.in_chain(self.batch.simulation, np.array([index]))
+        (state,), _ = self.searches.in_chain(self.batch.simulation, np.array([index]))
         search = _simplest(state, passes, self.goals[index])
-        self.desk.ask(index, search, self.decided, SLOTS)
+        self.searches.start(index, search, self.decided, SLOTS)
 
     def _draw_goal(self, index: int) -> None:
         rng, (code,) = self._rngs[index], self.batch.codes_of(np.array([index]))

@@ -65,7 +65,7 @@ def chooses_pulls(task: TaskConfig) -> TaskConfig:
     return task
 
 
-class Desk:
+class LaneSearches:
     """The searches for the lanes of a batch.
 
     Attributes:
@@ -84,9 +84,9 @@ class Desk:
         self.search = BatchedSearch(max(_SPARE * count, slots), rope)
         self.check = simulation_of(1, rope.config, batch.simulation.engine)
         self.thinking, self.planned = np.zeros(count, bool), np.zeros(count, np.int64)
-        self._told: dict[int, Callable[[int, Any], None]] = {}
+        self._callbacks: dict[int, Callable[[int, Any], None]] = {}
         self._follower = WaypointFollower(1)
-        self._laid: ChainSimulation | None = None
+        self._at_rest: ChainSimulation | None = None
 
     def begin(self, ids: Ids) -> None:
         """Reset the lanes in which episodes begin."""
@@ -100,11 +100,11 @@ class Desk:
             self.search.drop(index)
         self.thinking[ids] = False
 
-    def ask(
+    def start(
         self, index: int, search: Search[Any], decided: Callable[[int, Any], None], slots: int = 1
     ) -> None:
         """Begin a search for a lane; `decided` will be called with the lane and the result."""
-        self.thinking[index], self._told[index] = True, decided
+        self.thinking[index], self._callbacks[index] = True, decided
         self.search.add(index, search, slots)
 
     def tick(self) -> None:
@@ -112,7 +112,7 @@ class Desk:
         for index, found in self.search.tick():
             self.thinking[index] = False
             self.planned[index] += found.spent
-            self._told[index](index, found)
+            self._callbacks[index](index, found)
 
     def in_chain(self, simulation: Simulation, ids: Ids) -> tuple[Array, Array]:
         """States in the chain engine, and points (n, beads, 3), of ropes of any engine.
@@ -121,12 +121,12 @@ class Desk:
         """
         if isinstance(simulation, ChainSimulation):
             return simulation.states(ids), simulation.points[ids].copy()
-        if self._laid is None:
-            self._laid = ChainSimulation(len(self.thinking), simulation.rope)
+        if self._at_rest is None:
+            self._at_rest = ChainSimulation(len(self.thinking), simulation.rope)
         rows = np.arange(len(ids))
         # laid at rest, as the velocities of another engine mean nothing here
-        self._laid.lay(simulation.qpos(ids), rows)
-        return self._laid.states(rows), self._laid.points[rows]
+        self._at_rest.set_qpos(simulation.qpos(ids), rows)
+        return self._at_rest.states(rows), self._at_rest.points[rows]
 
     def act_out(self, state: Array, goal: GaussCode, move: Pass) -> tuple[Array, int]:
         """Carry a pass out in the episodes' engine, from a state of it; see `PassSearch`."""
@@ -151,20 +151,20 @@ class PullPlayer(Player):
     """
 
     def __init__(
-        self, config: PullPlannerConfig, batch: EpisodeBatch, desk: Desk | None = None
+        self, config: PullPlannerConfig, batch: EpisodeBatch, searches: LaneSearches | None = None
     ) -> None:
-        """Take settings, the lanes, and the desk, which others may use too."""
+        """Take settings, the lanes, and the searches, which others may use too."""
         self._config, self._batch = config, batch
-        self._desk = desk = desk or Desk(batch, config.batch_size)
+        self._searches = searches = searches or LaneSearches(batch, config.batch_size)
         self._values = PassValues.of_split(batch.task.split)
         self._rngs: dict[int, np.random.Generator] = {}
         self._plans: dict[int, PullPlan] = {}
         # pulls taken of the plan; pulls simulated for all plans of the episode
         self._taken, self._spent = np.zeros((2, batch.count), np.int64)
-        self.planned = desk.planned
+        self.planned = searches.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
-        self._desk.begin(ids)
+        self._searches.begin(ids)
         self._rngs |= dict(zip(ids.tolist(), rngs, strict=True))
         for index in ids.tolist():
             self._plans.pop(index, None)
@@ -173,8 +173,8 @@ class PullPlayer(Player):
 
     def act(self, ids: Ids) -> Pulls:
         self.look(ids)
-        self._desk.tick()
-        ready = ids[~self._desk.thinking[ids]]
+        self._searches.tick()
+        ready = ids[~self._searches.thinking[ids]]
         return Pulls(ready, *self.pulls(ready))
 
     def look(self, ids: Ids) -> None:
@@ -182,7 +182,7 @@ class PullPlayer(Player):
         from knotgym.control.planning.pulls import PullSearch  # here, as the expert needs none
 
         batch, config = self._batch, self._config
-        for index in ids[~self._desk.thinking[ids]].tolist():
+        for index in ids[~self._searches.thinking[ids]].tolist():
             used_up = self._spent[index] + config.batch_size > config.budget
             # a rope that shows its goal is left alone until it has held it
             if self._unfinished(index) or batch.shown[index] or used_up:
@@ -195,8 +195,8 @@ class PullPlayer(Player):
             state = batch.simulation.states([index])[0]
             left = int(batch.task.horizon - batch.steps[index])
             budget = int(config.budget - self._spent[index])
-            made = search.checked(self._desk.check, self._in_chain, state, left, budget)
-            self._desk.ask(index, made, self._decided, config.batch_size)
+            made = search.checked(self._searches.check, self._in_chain, state, left, budget)
+            self._searches.start(index, made, self._decided, config.batch_size)
 
     def _decided(self, index: int, plan: PullPlan) -> None:
         """Follow a plan that a search has found."""
@@ -218,7 +218,7 @@ class PullPlayer(Player):
         return index in self._plans and self._taken[index] < len(self._plans[index].beads)
 
     def _in_chain(self, check: Simulation) -> tuple[Array, Array]:
-        states, points = self._desk.in_chain(check, np.zeros(1, np.int64))
+        states, points = self._searches.in_chain(check, np.zeros(1, np.int64))
         return states[0], points[0]
 
 
@@ -237,17 +237,17 @@ class PassPlayer(Player):
     def __init__(self, config: PolicyConfig, batch: EpisodeBatch) -> None:
         self._config, self.batch, count = config.expert, batch, batch.count
         self._values = PassValues.of_split(batch.task.split)
-        self.desk = Desk(batch, max(SLOTS, config.planner.batch_size))
+        self.searches = LaneSearches(batch, max(SLOTS, config.planner.batch_size))
         # in the last resort the planner of pulls may simulate less than where it is the policy
         least = min(config.planner.budget, config.expert.last_resort)
-        self._last_resort = PullPlayer(replace(config.planner, budget=least), batch, self.desk)
+        self._last_resort = PullPlayer(replace(config.planner, budget=least), batch, self.searches)
         self._by_pulls = np.zeros(count, bool)  # whether the last resort acts
         self._follower = WaypointFollower(count)
         self._moves, self._taken = np.zeros((count, 3), np.int64), np.zeros(count, np.int64)
         # passes that were found: the one under way, and those after it
         self._plans: dict[int, list[TriedPass]] = {}
         self.goals = [GaussCode(())] * count
-        self.planned = self.desk.planned
+        self.planned = self.searches.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         self._last_resort.begin(ids, rngs)
@@ -257,7 +257,7 @@ class PassPlayer(Player):
 
     def act(self, ids: Ids) -> Pulls:
         points, follower = self.batch.simulation.points, self._follower
-        passing = ids[~self._by_pulls[ids] & ~self.desk.thinking[ids]]
+        passing = ids[~self._by_pulls[ids] & ~self.searches.thinking[ids]]
         # first, as a rope that shows its goal needs no further pass
         settled = self.settle(passing)
         # Waypoints that were reached are passed before anything is decided, so that a pass that is
@@ -265,11 +265,11 @@ class PassPlayer(Player):
         over = follower.arrive(points, passing) | (self._taken[passing] >= _LONGEST)
         self._search(self._without_plan(passing[over & ~settled]))
         self._last_resort.look(ids[self._by_pulls[ids]])
-        self.desk.tick()
+        self.searches.tick()
         # Many pulls together take less time: most of many ropes wait until searches are done.
-        while 4 * np.count_nonzero(self.desk.thinking[ids]) > len(ids) > _FEW:
-            self.desk.tick()
-        ready = ids[~self.desk.thinking[ids]]
+        while 4 * np.count_nonzero(self.searches.thinking[ids]) > len(ids) > _FEW:
+            self.searches.tick()
+        ready = ids[~self.searches.thinking[ids]]
         beads, forces = follower.beads[ready], follower.forces(points, ready)
         macros = np.column_stack([self._taken[ready] == 0, self._moves[ready]])
         idle = follower.idle[ready]  # the goal is shown: without force the rope settles
@@ -282,7 +282,7 @@ class PassPlayer(Player):
 
     def replan(self, ids: Ids) -> None:
         """Look again before the next action of some lanes."""
-        self.desk.forget(ids)
+        self.searches.forget(ids)
         for index in ids.tolist():
             self._plans.pop(index, None)
         self._by_pulls[ids] = False
@@ -334,12 +334,12 @@ class PassPlayer(Player):
     def _search(self, ids: Ids) -> None:
         """Begin searches for the next passes of some lanes."""
         simulation = self.batch.simulation
-        states, points = self.desk.in_chain(simulation, ids) if len(ids) else ((), ())
+        states, points = self.searches.in_chain(simulation, ids) if len(ids) else ((), ())
         own = simulation.states(ids) if len(ids) else ()
         # where the chain engine counts, acting a pass out would repeat what the search did
         is_chain = isinstance(simulation, ChainSimulation)
         for index, state, rope, real in zip(ids.tolist(), states, points, own, strict=True):
             goal, bound = self.goals[index], self.batch.tow_bound(index, _TOWING)
-            act_out = None if is_chain else partial(self.desk.act_out, real, goal)
+            act_out = None if is_chain else partial(self.searches.act_out, real, goal)
             search = PassSearch(self._values, goal, self._config, bound, act_out)
-            self.desk.ask(index, search.run(state, rope), self.decided)
+            self.searches.start(index, search.run(state, rope), self.decided)

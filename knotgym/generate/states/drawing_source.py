@@ -371,7 +371,7 @@ def _drawn(
         rejected.update(faults)
         return None
     start = rope.qpos(curve)
-    simulation.lay(start[None], _ONE)
+    simulation.set_qpos(start[None], _ONE)
     actions = _stirred(simulation, code, rng)
     if actions is None:
         rejected["simulation failed"] += 1

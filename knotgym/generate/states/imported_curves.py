@@ -105,7 +105,7 @@ def _laid(curve: Array, number: int, simulation: Simulation) -> dict[str, Any]:
         if points is None:
             continue
         start = rope.qpos(points)
-        simulation.lay(start[None], _ONE)
+        simulation.set_qpos(start[None], _ONE)
         for action in rest:
             simulation.act(action[None])
         points, qpos = simulation.points[0].copy(), simulation.qpos(_ONE)[0]

@@ -61,7 +61,7 @@ class ChainSimulation(Simulation):
         self._physics = physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
-        self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
+        self.set_qpos(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
 
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
@@ -80,7 +80,7 @@ class ChainSimulation(Simulation):
         self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
         self.points[where] = self._states[where, :, POSITION]
 
-    def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
+    def set_qpos(self, qpos: ArrayLike, ids: Ids = None) -> None:
         """Reset ropes to rest at generalized positions float64 (len(ids), nq).
 
         A gap between two sub-chains is closed: vertices near it move by less than the gap.
@@ -92,7 +92,7 @@ class ChainSimulation(Simulation):
         states[:, :, SIDE] = _sides(self.rope, rows, states[:, :, POSITION])
         self.restore(states, where)
 
-    def lay_points(self, points: Array, velocities: Array, ids: Ids = None) -> None:
+    def set_points(self, points: Array, velocities: Array, ids: Ids = None) -> None:
         """Lay ropes along curves whose edges are about as long as the beads.
 
         Args:
@@ -149,9 +149,9 @@ class ChainSimulation(Simulation):
 def physics_of(rope: Rope) -> layout.Physics:
     """Return what the solver needs to know of a rope, from MuJoCo's compiled model."""
     model, config, body = rope.model, rope.config, int(rope.bodies[0])
-    mass, (tumble, _, spin) = float(model.body_mass[body]), model.body_inertia[body].tolist()
+    mass, (transverse, _, spin) = float(model.body_mass[body]), model.body_inertia[body].tolist()
     # the box of equal inertia, as in MuJoCo's documentation ("Fluid forces", inertia model)
-    wide, long = float(np.sqrt(6 * spin / mass)), float(np.sqrt(6 * (2 * tumble - spin) / mass))
+    wide, long = float(np.sqrt(6 * spin / mass)), float(np.sqrt(6 * (2 * transverse - spin) / mass))
     density = float(model.opt.density)
     damping = np.full(config.beads, config.joint_damping)
     # no joint where MuJoCo joins two sub-chains, and none at vertex 0, where `banded` cuts the
@@ -165,7 +165,7 @@ def physics_of(rope: Rope) -> layout.Physics:
     soft = (1 - impedance) / impedance * weight
     return layout.Physics(
         mass=mass,
-        tumble=tumble,
+        transverse=transverse,
         round=spin,
         length=config.bead_length,
         drag_across=0.5 * density * wide * long,

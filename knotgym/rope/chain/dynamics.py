@@ -94,7 +94,7 @@ def assemble(
     # damping. Half of a bead's motion belongs to either vertex, hence the quarter.
     rate = 1.0 / load(step, (0,))
     centre = 0.25 * physics.mass * rate
-    tumble = physics.tumble / (length * length) * rate
+    transverse = physics.transverse / (length * length) * rate
     turn = physics.drag_turn / (length * length * length)
     roll = physics.round * rate
     across, fore = 0.5 * physics.drag_across, 0.5 * physics.drag_along
@@ -130,7 +130,7 @@ def assemble(
         # what turning resists is small, and taken as equal about both axes across.
         ai = minus(vj, vi)
         whirl = turn * norm(ai)
-        apart = tumble + 2.0 * whirl + (damping[i] + damping[j]) / (length * length)
+        apart = transverse + 2.0 * whirl + (damping[i] + damping[j]) / (length * length)
         # With C, of the part u^T C u of the centre, and S, of that a^T S a of the difference, the
         # lower triangle of C + S stands at SUM_0 of `bead`, that of C - S at LESS_0. As p p^T +
         # q q^T + t t^T = 1, C = rq 1 + (rp - rq) p p^T + (rt - rq) t t^T.
@@ -151,7 +151,7 @@ def assemble(
         for c in range(3):
             back = fma(op, p[c], fma(oq, q[c], ot * t[c]))
             back = fma(centre, vi[c] + vj[c], back)
-            swing = fma(tumble, ai[c], whirl * ai[c])
+            swing = fma(transverse, ai[c], whirl * ai[c])
             put(right, (i, c), load(right, (i, c)) + (back - swing))
             put(right, (j, c), load(right, (j, c)) + (back + swing))
         own = load(spin, (i,))

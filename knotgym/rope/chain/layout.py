@@ -43,7 +43,7 @@ class Physics(NamedTuple):
 
     Attributes:
         mass: of a bead, kg.
-        tumble, round: its moments of inertia across and along its axis, kg m^2.
+        transverse, round: its moments of inertia across and along its axis, kg m^2.
         length: of an edge, metres.
         drag_across, drag_along: of a bead that moves, N s^2/m^2.
         drag_turn, drag_roll: of a bead that turns across and about its axis, N m s^2.
@@ -56,7 +56,7 @@ class Physics(NamedTuple):
     """
 
     mass: float
-    tumble: float
+    transverse: float
     round: float
     length: float
     drag_across: float

@@ -41,9 +41,9 @@ Array = NDArray[np.float64]
 # when a substep begins: out of reach of contact, and they can't meet if vertices move by < 13.3 mm.
 # These follow from each other for the usual edge of 13.3 mm, as said; none is tuned. At full force
 # the pulled bead moves by 48 mm in an action on average, and by 16 mm at most in a substep.
-STROLL = 0.013  # m: if a vertex moves further, all pairs within FAR_APART are checked
-FAR_APART = 0.080  # m; 80 mm - L > 2 LEAP
-LEAP = 0.022  # m, that a vertex may move in one substep
+USUAL_MOVE = 0.013  # m: if a vertex moves further, all pairs within FAR_APART are checked
+FAR_APART = 0.080  # m; 80 mm - L > 2 MOST_MOVE
+MOST_MOVE = 0.022  # m, that a vertex may move in one substep
 SAFE = 1e-5  # m, margin of the proof; rounding is below 1e-12
 
 
@@ -51,10 +51,10 @@ def longest_edge(radius: float) -> float:
     """The longest edge, metres, for which the distances above prove what they are meant to."""
     # Midpoints of pairs that aren't listed are LISTED apart at least, and their edges at least an
     # edge's length less. By the time that a substep begins both may have come nearer by DRIFT. What
-    # is then left must be more than both can move, a STROLL each, and more than contact reaches.
-    # The same for the wide list and LEAP.
-    listed = LISTED - 2.0 * DRIFT - max(2.0 * STROLL, 2.0 * radius + LOOKAHEAD)
-    return min(listed, FAR_APART - 2.0 * LEAP) / STRETCH
+    # is then left must be more than both can move, USUAL_MOVE each, and more than contact reaches.
+    # The same for the wide list and MOST_MOVE.
+    listed = LISTED - 2.0 * DRIFT - max(2.0 * USUAL_MOVE, 2.0 * radius + LOOKAHEAD)
+    return min(listed, FAR_APART - 2.0 * MOST_MOVE) / STRETCH
 
 
 @inner
@@ -79,7 +79,7 @@ def judge(
         wider: for more pairs, overwritten.
         length: of an edge, metres.
         accepted: bool (LANES,); written. False too where something is not finite, a vertex would
-            move by LEAP or an edge's length be off by 0.1 %.
+            move by MOST_MOVE or an edge's length be off by 0.1 %.
     """
     n = len(x)
     turn, spot = np.empty((n, LANES)), np.empty((2, LANES))
@@ -101,10 +101,10 @@ def judge(
     put(spot, (1,), worst)
     # both comparisons are false at a NaN, so a lane that isn't finite is rejected here
     for lane in range(LANES):
-        accepted[lane] = spot[0, lane] < LEAP and spot[1, lane] < 2e-3 * length * length
+        accepted[lane] = spot[0, lane] < MOST_MOVE and spot[1, lane] < 2e-3 * length * length
     # The list was made for slow vertices; a fast one needs a wider one, which all lanes then share.
     # That changes nothing for the slow: their other pairs are too far apart to be rejected.
-    if any_below(-widest, -STROLL):
+    if any_below(-widest, -USUAL_MOVE):
         middles(x, middle)
         list_pairs(middle, FAR_APART, wider)
         pairs = wider

@@ -27,7 +27,7 @@ def dense(
     tangent: Array, side: Array, v: Array, spin: Array, pull: Array, h: float, physics: Physics
 ) -> tuple[Array, Array]:
     """Velocities and spins after a substep of one rope, see `dynamics`."""
-    mass, tumble, roll_mass, length, *drag, stretch, damping = physics[:10]
+    mass, transverse, roll_mass, length, *drag, stretch, damping = physics[:10]
     across, along, turn, roll = drag
     matrix, right = np.zeros((4 * N, 4 * N)), np.zeros(4 * N)
     now = np.concatenate([v, spin[:, None]], axis=1).reshape(-1)
@@ -48,7 +48,7 @@ def dense(
         spun[0, 4 * i + 3] = 1.0
         turning[i] = np.cross(t, apart, axisb=0, axisc=0) / length + t[:, None] * spun
         add(centre, mass / h, centre @ now)
-        add(apart, tumble / length**2 / h, apart @ now)
+        add(apart, transverse / length**2 / h, apart @ now)
         add(spun, roll_mass / h, spun @ now)
         add(t[None] @ apart, stretch)
         for axis, k in ((side[i], across), (np.cross(t, side[i]), across), (t, along)):

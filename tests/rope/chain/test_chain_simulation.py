@@ -79,10 +79,10 @@ def test_ropes_laid_along_curves_move_as_those_laid_with_their_twist(
     rope: Rope, curls: Array
 ) -> None:
     by_qpos, by_points = ChainSimulation(5, rope), ChainSimulation(5, rope)
-    by_qpos.lay(curls)
+    by_qpos.set_qpos(curls)
     beads, forces = pulls(5, 1)[0]
     before = by_qpos.points.copy()
-    by_points.lay_points(before, by_qpos.velocities())
+    by_points.set_points(before, by_qpos.velocities())
     assert np.allclose(by_points.points, before, atol=1e-9)
     by_qpos.step(beads, forces)
     by_points.step(beads, forces)
@@ -94,15 +94,15 @@ def test_ropes_laid_along_curves_move_as_those_laid_with_their_twist(
 def test_ropes_laid_along_uneven_curves_get_edges_of_one_length(rope: Rope, curls: Array) -> None:
     chain = ChainSimulation(5, rope)
     uneven = rope.points(curls) * 1.02
-    chain.lay_points(uneven, np.zeros_like(uneven))
+    chain.set_points(uneven, np.zeros_like(uneven))
     assert np.abs(lengths(chain.points) / LENGTH - 1).max() < 1e-3
     assert chain.step(*pulls(5, 1)[0]).all() and (chain.applied_shares == 1).all()
 
 
 def test_beads_end_where_mujoco_puts_them(rope: Rope, curls: Array) -> None:
     chain, mujoco = ChainSimulation(5, rope), MujocoSimulation(5, rope)
-    chain.lay(curls)
-    mujoco.lay(curls)
+    chain.set_qpos(curls)
+    mujoco.set_qpos(curls)
     for bar, (beads, forces) in zip((1e-3, 2e-3, 3e-3), pulls(5, 3), strict=True):
         chain.step(beads, forces)
         mujoco.step(beads, forces)
@@ -111,7 +111,7 @@ def test_beads_end_where_mujoco_puts_them(rope: Rope, curls: Array) -> None:
 
 def test_a_rope_left_alone_stays(rope: Rope, curls: Array) -> None:
     chain = ChainSimulation(5, rope)
-    chain.lay(curls)
+    chain.set_qpos(curls)
     before = chain.points.copy()
     for _ in range(3):
         chain.step(np.zeros(5, dtype=int), np.zeros((5, 3)))
@@ -136,7 +136,7 @@ def test_a_turned_rope_moves_alike(rope: Rope) -> None:
 
 def test_edges_keep_their_length(rope: Rope, curls: Array) -> None:
     chain = ChainSimulation(5, rope)
-    chain.lay(curls)
+    chain.set_qpos(curls)
     for step in range(10):
         chain.step(np.full(5, 30), np.full((5, 3), 0.2 * (-1) ** step))
         assert np.abs(lengths(chain.points) / LENGTH - 1).max() < 1e-3
@@ -160,7 +160,7 @@ def test_contacts_are_as_stiff_on_processors_that_sum_in_another_order(rope: Rop
 def test_strands_pulled_through_each_other_stay_apart(rope: Rope, curls: Array) -> None:
     """A bead of the upper strand pulled straight down onto the lower one, with full force."""
     chain = ChainSimulation(1, rope)
-    chain.lay(curls[2:3])
+    chain.set_qpos(curls[2:3])
     for _ in range(12):
         crossings = find_crossings(chain.points[0])
         bead = int(crossings.over_place[0]) % 100 if crossings.nx else 0
@@ -172,7 +172,7 @@ def test_strands_pulled_through_each_other_stay_apart(rope: Rope, curls: Array) 
 def test_random_play_never_ties_or_unties_a_knot(rope: Rope, curls: Array) -> None:
     knotted = rope.qpos(rope.from_curve(trefoil()))[None]
     chain = ChainSimulation(6, rope)
-    chain.lay(np.concatenate([curls, knotted]))
+    chain.set_qpos(np.concatenate([curls, knotted]))
     for beads, forces in pulls(6, 40, seed=3):
         chain.step(beads, np.sign(forces) * 0.2)
         codes = label_many(chain.points)
@@ -182,7 +182,7 @@ def test_random_play_never_ties_or_unties_a_knot(rope: Rope, curls: Array) -> No
 
 def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: Array) -> None:
     chain = ChainSimulation(2, rope)
-    chain.lay(curls[[0, 2]])
+    chain.set_qpos(curls[[0, 2]])
     states = chain.states().reshape(2, 100, 10)
     states[1, :, 3:6] = np.random.default_rng(0).normal(0, 1e9, (100, 3))  # m/s
     chain.restore(states)
@@ -196,14 +196,14 @@ def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: A
 
 def test_a_rope_goes_to_mujoco_and_back(rope: Rope, curls: Array) -> None:
     chain = ChainSimulation(5, rope)
-    chain.lay(curls)
+    chain.set_qpos(curls)
     moved(chain, 6)
     qpos = chain.qpos()
     mujoco = MujocoSimulation(5, rope)
-    mujoco.lay(qpos)
+    mujoco.set_qpos(qpos)
     assert np.abs(mujoco.points - chain.points).max() < 1e-9
     back = ChainSimulation(5, rope)
-    back.lay(qpos)
+    back.set_qpos(qpos)
     still = chain.states().reshape(5, 100, 10)[:, :, [0, 1, 2, 6, 7, 8]]
     assert np.abs(back.states().reshape(5, 100, 10)[:, :, [0, 1, 2, 6, 7, 8]] - still).max() < 1e-6
 

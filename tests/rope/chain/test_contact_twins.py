@@ -9,7 +9,7 @@ from knotgym.rope.chain import banded, contact, dynamics, passage
 from knotgym.rope.chain.chain_simulation import physics_of
 from knotgym.rope.chain.contact import LISTED, ROWS, Pairs
 from knotgym.rope.chain.layout import EDGE_I, EDGE_J, GAP, NORMAL, ON_I, ON_J
-from knotgym.rope.chain.passage import LEAP
+from knotgym.rope.chain.passage import MOST_MOVE
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.model import Rope
 from knotgym.states import read_states, shipped
@@ -183,6 +183,6 @@ def test_what_is_judged_safe_is_safe_for_every_pair_of_edges(
         if accepted[lane]:
             assert (both > relative).all()
         stretched = np.abs(np.linalg.norm(np.roll(after, -1, 0) - after, axis=1) / length - 1)
-        small = np.linalg.norm(move, axis=1).max() < LEAP and stretched.max() < 5e-4
+        small = np.linalg.norm(move, axis=1).max() < MOST_MOVE and stretched.max() < 5e-4
         if small and (both > relative + length / 20).all():  # the grid's error is below that
             assert accepted[lane]
