@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 _TOW = np.ones(3)
 # Probability that the goal is the code now shown although the episode continues (misread picture).
 _MISREAD = 0.05
-# Budgets and thresholds below were set by hand; no record says what others would score.
+# Budgets and thresholds were chosen without comparison. After a change `pretrained` must score as
+# docs/benchmark.md says, in about as many CPU seconds.
 _PLANNER = PullPlannerConfig(batch_size=32)  # of the imagined actions
 # Imagined actions of a replanning and of an episode, at most; once the latter are spent, every
 # replanning still gets the last number.

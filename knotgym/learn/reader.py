@@ -41,7 +41,8 @@ INPUTS = 19  # input channels of both networks, see `_network_inputs`
 READINGS = 8  # of one picture, with the same x and y and different heights
 PIXEL = 1 / PictureConfig().pixels_per_metre  # width of a pixel, metres
 _COLOURS = bead_colours(BEADS).astype(np.float64)
-# Set by hand, as the scales below; no record says what others would score.
+# Chosen without comparison, as the scales below. The networks that ship were trained with them: a
+# change needs the reader trained again (`knotgym train`).
 _GATE = 4.0  # standard deviation of the distance of a bead's pixels from a guess, pixels
 _LEAST = 0.3  # weight of a bead that the axis must pass through
 # Scales that bring the networks' inputs and outputs to about 1: positions and offsets in pixels,

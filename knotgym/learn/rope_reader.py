@@ -34,7 +34,8 @@ from knotgym.topology import Crossings, GaussCode, find_crossings
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Values below were set by hand on training pictures.
+# Chosen on training pictures, one by one. No file depends on them: after a change, ropes must be
+# read as docs/perception.md says.
 _LEAST = 0.3  # response of a point
 _MOST = 6000  # candidates, at most; a picture with more shows no rope
 # Of two points nearer than this, the weaker is dropped: cells, and radians.

@@ -27,7 +27,8 @@ from knotgym.common import InvalidFile, atomic_write, one_line, require_regular
 from knotgym.runs import Progress
 
 _SEAL = "seal"  # name of the array that holds the digest of the others
-# set by hand; no record says what others would score
+# chosen without comparison; learners that exist don't depend on them, their scores in
+# docs/benchmark.md are of these
 _WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of the peak at the end
 _CURVE_ROWS = 100  # of a learning curve, at most
 
