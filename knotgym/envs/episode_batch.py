@@ -162,10 +162,8 @@ class EpisodeBatch:
             drawn = int(rng.integers(len(self._sides))) if len(self._sides) > 1 else 0
             starts, goals = sides[drawn % len(sides)]
             start = self._choose(own_start, starts.rows, "start", rng)
-            rows[:, row] = (
-                start,
-                self._choose(own_goal, self._goals_from(start, goals), "goal", rng),
-            )
+            goal = self._choose(own_goal, self._goals_from(start, goals), "goal", rng)
+            rows[:, row] = start, goal
         starts = rows[0]
         for row in set(starts.tolist()) - self._clearances.keys():
             points = np.require(self.starts.points[row], np.float64, ["C", "W"])

@@ -130,12 +130,9 @@ def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts:
 @inlined
 def _all_finite(points: np.ndarray) -> bool:
     for bead in range(points.shape[0]):
-        if not (
-            np.isfinite(points[bead, 0])
-            and np.isfinite(points[bead, 1])
-            and np.isfinite(points[bead, 2])
-        ):
-            return False
+        for axis in range(3):
+            if not np.isfinite(points[bead, axis]):
+                return False
     return True
 
 

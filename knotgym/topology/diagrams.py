@@ -20,8 +20,8 @@ where samples are compared with the exact lists (chi-square): there are 1, 2, 8,
 planar codes, and chiralities are those of a search over all patterns.
 """
 
-from collections.abc import Iterator
-from itertools import product
+from collections.abc import Iterator, Sequence
+from itertools import permutations, product
 
 import numpy as np
 
@@ -139,8 +139,14 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
     Args:
         nx: number of crossings, at least 0.
     """
+    # As in `uniform_code`, each label has one even and one odd position: a permutation pairs them.
+    words = set[tuple[int, ...]]()
+    for odd in permutations(range(nx)):
+        labels = [label for pair in enumerate(odd) for label in pair]
+        new = {label: number for number, label in enumerate(dict.fromkeys(labels), 1)}
+        words.add(tuple(new[label] for label in labels))
     # Planarity depends only on the order of the labels: test each word once, then choose heights.
-    for word in _words([0] * (2 * nx), 1):
+    for word in sorted(words):
         if is_planar(GaussCode(_with_heights(word, [1] * nx))):
             for heights in product((1, -1), repeat=nx):
                 yield GaussCode(_with_heights(word, list(heights)))
@@ -167,27 +173,7 @@ def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
             return code
 
 
-def _words(word: list[int], label: int) -> Iterator[list[int]]:
-    """Yield every way to fill the zeros with pairs of labels, from `label` on.
-
-    The two visits of a crossing have an even number of visits between them: the stretch between
-    them is a loop, and the rest of the curve crosses a loop an even number of times.
-    """
-    if 0 not in word:
-        yield word.copy()
-        return
-    # the first free slot takes the next label, so labels are in order of first visit
-    first = word.index(0)
-    word[first] = label
-    for second in range(first + 1, len(word), 2):
-        if word[second] == 0:
-            word[second] = label
-            yield from _words(word, label + 1)
-            word[second] = 0
-    word[first] = 0
-
-
-def _with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
+def _with_heights(word: Sequence[int], heights: list[int]) -> tuple[int, ...]:
     """Turn labels into visits; heights[label - 1] is +1 if the label's first visit is over."""
     seen: set[int] = set()
     visits = []

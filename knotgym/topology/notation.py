@@ -81,7 +81,7 @@ def _dt_code(code: GaussCode) -> list[int]:
     [4, 6, 8, 2]
     """
     # In a planar diagram the two visits of a crossing have an even number of visits between them,
-    # see `diagrams._words`, so one is odd and one even.
+    # see `diagrams.uniform_code`, so one is odd and one even.
     number = {visit: number for number, visit in enumerate(code.visits, 1)}
     return [number[-visit] * (1 if visit > 0 else -1) for visit in code.visits[::2]]
 
