@@ -317,7 +317,7 @@ def _from_over_under(text: str) -> GaussCode:
     if re.sub(r"[\s,;-]", "", _OVER_UNDER.sub("", text)):
         raise _invalid("it can't be read", text, "Gauss", "expected such as O1-U2-O3-U1-O2-U3-")
     _require_size(len(visits) // 2)
-    # "-" may only part visits, as in O1-U2-O3; only where the last visit has a sign, too, are they signs
+    # "-" may only part visits, as in O1-U2-O3; where the last visit has a sign, too, it is a sign
     signed = bool(visits) and all(sign for _, _, sign in visits)
     if "+" in [sign for _, _, sign in visits] and not signed:
         expected = "give every visit its crossing's sign"
