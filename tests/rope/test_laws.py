@@ -91,7 +91,7 @@ class Motion:
         self.momentum = p.mass * self.centre.sum(axis=0)
         self.kinetic = float(
             0.5 * p.mass * (self.centre**2).sum()
-            + 0.5 * p.tumble * (across**2).sum()
+            + 0.5 * p.transverse * (across**2).sum()
             + 0.5 * p.round * (spin**2).sum()
         )
 
