@@ -11,7 +11,7 @@ number of crossings and split --count are kept, codes as evenly as there are sta
 train and test share.
 """
 
-import argparse
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -120,9 +120,7 @@ def told(table: Mapping[str, NDArray[Any]], points: Array) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("sources", nargs="+", type=Path)
     parser.add_argument("--count", type=int, default=256)
     parser.add_argument("--out", type=Path, default=Path("bench.h5"))

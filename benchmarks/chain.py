@@ -14,11 +14,11 @@ interval of the difference on these states. Parts that --out holds are not playe
 `passages.py` is about safety.
 """
 
-import argparse
 import json
 import os
 import statistics
 import time
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,7 +85,7 @@ def apart(one: Array, other: Array) -> dict[str, float]:
     return {f"after {k}": round(float(far[k - 1]), 3) for k in (1, 2, 4)}
 
 
-def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+def speed(args: Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = read_states(shipped("random-walk"), images=False).qpos[: args.ropes]
     engines = [simulation(MUJOCO, len(qpos)), ChainSimulation(len(qpos))]
     for engine in engines:
@@ -104,7 +104,7 @@ def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+def distance(args: Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = starts(args.states, rng)
     actions = pulls(len(qpos), 4, rng)
     truth = traced(simulation(MUJOCO, len(qpos)), qpos, actions)
@@ -122,7 +122,7 @@ def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, An
     }
 
 
-def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+def sequences(args: Namespace, rng: np.random.Generator) -> dict[str, Any]:
     told: dict[str, Any] = {}
     for name, recording in Recording.read_all().items():
         config = recording.config
@@ -147,7 +147,7 @@ def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, A
     return told
 
 
-def policy(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+def policy(args: Namespace, rng: np.random.Generator) -> dict[str, Any]:
     cells = [(name, task, nx) for name in SETS for task in TASKS for nx in (2, 3, 4)]
     found: dict[str, dict[str, list[int]]] = {}
     if args.out.is_file():
@@ -193,9 +193,7 @@ COMMANDS = {run.__name__: run for run in (speed, distance, sequences, policy)}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=COMMANDS)
     parser.add_argument("--out", type=Path, default=Path("chain.json"))
     parser.add_argument("--ropes", type=int, default=64)

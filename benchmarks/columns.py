@@ -6,9 +6,9 @@ The set repeats 400 random episodes of 50 pulls. Rates are per CPU second, the f
 system's cache. The table of docs/offline-rl.md is from here.
 """
 
-import argparse
 import tempfile
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,9 +35,7 @@ def rate(call: Callable[[], object], seconds: float = 2.0) -> float:
 
 
 def main() -> None:
-    argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    ).parse_args()
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     seeds = [Stream.EPISODE.derived_seed(0, number) for number in range(EPISODES)]
     part = rollouts(make_policy(PolicyConfig(policy="random")), TASK, seeds)
     rng = np.random.default_rng(0)

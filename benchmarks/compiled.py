@@ -9,12 +9,12 @@ which waited for each other in vain. Numba's own are counted, not judged.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
 import sys
 import tempfile
+from argparse import REMAINDER, ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -66,10 +66,8 @@ def twice(lines: list[Any]) -> tuple[list[str], list[str]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("words", nargs=argparse.REMAINDER, help="a command of knotgym")
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("words", nargs=REMAINDER, help="a command of knotgym")
     lines = compiled(["-m", "knotgym", *parser.parse_args().words])
     for pid, name, kind, seconds, own in sorted(lines, key=lambda line: -line[-1]):
         print(f"{seconds:6.2f} {own:6.2f} {pid:7} {name} {kind[:200]}")

@@ -12,13 +12,13 @@ its words and what went wrong; number k depends on the seed and k alone.
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import os
 import re
 import shutil
 import tempfile
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -206,9 +206,7 @@ def run(commands: range, seed: int, limit: float, memory: float, out: Path) -> C
 
 
 def entry() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     kinds: list[tuple[str, Callable[[str], object], object]] = [
         ("commands", int, 1500),
         ("first", int, 0),

@@ -10,12 +10,12 @@ columns. --compare prints what differs; status 1 if anything does. `pytest -m th
 tests/benchmarks` compares with the file above.
 """
 
-import argparse
 import hashlib
 import json
 import subprocess
 import sys
 import tempfile
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import h5py
@@ -78,9 +78,7 @@ def of_parquet(path: Path) -> dict[str, str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", default=",".join(RUNS), help="of %(default)s")
     parser.add_argument("--out", type=Path, help="file to write")
     parser.add_argument("--compare", type=Path, help="what an earlier run wrote to --out")

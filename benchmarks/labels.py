@@ -19,9 +19,9 @@ in both.
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -272,9 +272,7 @@ def harder(points: Array, way: str, rng: np.random.Generator) -> Array:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=10_000_000)
     parser.add_argument("--chunk", type=int, default=16_384, help="a multiple of 8")
     parser.add_argument("--seed", type=int, default=0)

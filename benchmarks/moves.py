@@ -13,7 +13,7 @@ The tables that ship were counted by earlier scripts, from about 350,000 passes;
 what this one counts with them.
 """
 
-import argparse
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from functools import lru_cache
@@ -128,7 +128,7 @@ def play(
     points: Array,
     goals: Sequence[GaussCode],
     values: PassValues,
-    args: argparse.Namespace,
+    args: Namespace,
     rng: np.random.Generator,
 ) -> Generator[Any, Any, Counts]:
     """Lead a rope to one goal after another; count all passes on the way.
@@ -203,9 +203,7 @@ def goals_of(batch: EpisodeBatch, which: str) -> list[GaussCode]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("table", choices=SHIPPED)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--episodes", type=int, default=256, help="of a round")

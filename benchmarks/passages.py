@@ -24,9 +24,9 @@ Alexander polynomial at -1, 2 and 3, modulo a prime, must be that of the rope's 
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from itertools import product
 from pathlib import Path
@@ -291,9 +291,7 @@ def play(engine: str, number: int, count: int, length: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--engine", choices=ENGINES, default=CHAIN)
     parser.add_argument("--actions", type=int, default=10_000_000, help="all ropes together")
     parser.add_argument("--ropes", type=int, default=384)

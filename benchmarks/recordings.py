@@ -7,7 +7,7 @@ Records every demonstrator's dataset of the suite in the folder, and keeps what 
 the same datasets give the same bytes.
 """
 
-import argparse
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 from rich.console import Console
@@ -19,9 +19,7 @@ RECORDINGS = Path(__file__).parents[1] / "knotgym/generate/episodes/data/recordi
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="--out of knotgym suite")
     parser.add_argument("--out", type=Path, default=RECORDINGS)
     args = parser.parse_args()

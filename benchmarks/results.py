@@ -8,9 +8,9 @@ reported, are in `benchmarks/page.md`. With --check nothing is written: the stat
 would differ. Needs SciPy (the extra `check`).
 """
 
-import argparse
 import re
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 from pathlib import Path
@@ -329,9 +329,7 @@ def readme(text: str, rows: Sequence[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; 1 if a file differs")
     parser.add_argument("--entries", type=Path, default=ENTRIES, help="folder of entries")
     parser.add_argument("--root", type=Path, default=ROOT, help="folder of README.md and docs")

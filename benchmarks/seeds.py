@@ -13,10 +13,10 @@ OGBench have one seed each, and 128 episodes of a DiscreteBC of 240 updates (71 
 to time a training.
 """
 
-import argparse
 import os
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -54,9 +54,7 @@ def run(*words: object, cwd: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("room", type=Path, help="folder of data, models and entries")
     parser.add_argument("--cells", nargs="+", choices=CELLS, default=list(CELLS))
     given = parser.parse_args()

@@ -17,12 +17,12 @@ thread. That can be measured on a busy machine too: a call of `Threads.spread` t
 part of its rows' time, or as long as what is done meanwhile, and everything else takes its time.
 """
 
-import argparse
 import json
 import os
 import platform
 import statistics
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -183,9 +183,7 @@ def vector_rates(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=50, help="actions an episode")
     parser.add_argument("--repeats", type=int, default=12, help="episodes a mode")
     parser.add_argument("--ropes", type=int, help="ropes of make_vec; by default as in VECTOR")

@@ -15,11 +15,11 @@ have the same networks, optimizer and batches, so what they differ in is their l
                 actor on its logits
 """
 
-import argparse
 import copy
 import shlex
 import sys
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import torch
@@ -293,9 +293,7 @@ def train(name: str, datasets: list[str], steps: int, seed: int, out: Path) -> N
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("learner", choices=LEARNERS)
     parser.add_argument("datasets", nargs="+", help="Minari ids or folders, of the train split")
     parser.add_argument("--steps", type=int, default=4000)

@@ -163,7 +163,8 @@ def rollouts(
         # its columns have the widths of the task, which only a batch knows
         empty = rollouts(policy, task, seeds, keep=keep, attempt=attempt, adviser=adviser)
         return empty.select([])
-    batch = EpisodeBatch(task, max(1, min(lanes, todo, _fitting(task))))
+    most = _MOST_BYTES // ((task.horizon + 1) * (12 * task.beads + 256))  # all steps kept
+    batch = EpisodeBatch(task, max(1, min(lanes, todo, most)))
     coming = _Coming(batch, seeds)
     player = policy.player(batch)
     record = _Record(batch, keep, todo, advised=adviser is not None)
@@ -225,11 +226,6 @@ def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pull
         )
     macros = None if pulls.macros is None else pulls.macros.copy()
     return Pulls(pulls.ids.copy(), pulls.beads.copy(), pulls.forces.copy(), macros)
-
-
-def _fitting(task: TaskConfig) -> int:
-    """How many episodes of a task fit into _MOST_BYTES, all steps kept."""
-    return _MOST_BYTES // ((task.horizon + 1) * (12 * task.beads + 256))
 
 
 class _Coming:

@@ -33,7 +33,7 @@ from knotgym.topology import GaussCode, label_many
 
 Result = TypeVar("Result")
 Ids = NDArray[np.int64]
-_LONGEST = ActionView.LONGEST
+LONGEST = ActionView.LONGEST
 _NEVER = 1 << 30
 
 
@@ -151,12 +151,10 @@ class BatchedSearch:
 
     @staticmethod
     def try_pass(
-        state: Array, move: Pass, goal: GaussCode, pulls: int = _LONGEST, bound: Any = None
+        state: Array, move: Pass, goal: GaussCode, pulls: int = LONGEST, bound: Any = None
     ) -> Search[Report]:
         """Try a pass and return where it led; the arguments are those of `Trial`."""
-        _, ((_, landing),) = yield Orders(
-            {0: Trial(state, move, min(_LONGEST, pulls), goal, bound)}
-        )
+        _, ((_, landing),) = yield Orders({0: Trial(state, move, min(LONGEST, pulls), goal, bound)})
         return landing
 
     def tick(self) -> list[tuple[Any, Any]]:

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
 from knotgym.control.basic_policies import RandomPlayer
-from knotgym.control.planning.batched_search import Orders, Search, Trial
+from knotgym.control.planning.batched_search import LONGEST, Orders, Search, Trial
 from knotgym.control.planning.passes import PassPlan
 from knotgym.control.planning.planners import SLOTS, Ids, PassPlayer, chooses_pulls
 from knotgym.control.policy_config import MIXED, PolicyConfig
 from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import ActionView, Array, MacroAction, Pass, WaypointFollower, quantized
+from knotgym.rope import Array, MacroAction, Pass, WaypointFollower, quantized
 from knotgym.topology import GaussCode
 
-_LONGEST = ActionView.LONGEST
 _PREFIXED = 0.5  # share of noisy episodes that begin with a random pass; not measured
 
 
@@ -169,7 +168,7 @@ class PlayPlayer(PassPlayer):
 def _simplest(state: Array, passes: list[Pass], goal: GaussCode) -> Search[_Simplest]:
     """Try passes side by side."""
     left, spent = dict[int, int](), 0
-    orders = Orders({k: Trial(state, move, _LONGEST, goal) for k, move in enumerate(passes)})
+    orders = Orders({k: Trial(state, move, LONGEST, goal) for k, move in enumerate(passes)})
     while len(left) < len(passes):
         _, reports = yield orders
         left |= {slot: report.code.nx for slot, report in reports}

@@ -22,27 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
-from knotgym.control.planning.batched_search import BatchedSearch, Search
+from knotgym.control.planning.batched_search import LONGEST, BatchedSearch, Search
 from knotgym.control.planning.passes import PassPlan, PassSearch, PassValues, TriedPass
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import (
-    ActionView,
-    Array,
-    ChainSimulation,
-    Pass,
-    Simulation,
-    WaypointFollower,
-    simulation_of,
-)
+from knotgym.rope import Array, ChainSimulation, Pass, Simulation, WaypointFollower, simulation_of
 from knotgym.topology import GaussCode, label
 
 if TYPE_CHECKING:
     from knotgym.control.planning.pulls import PullPlan
 
 Ids = NDArray[np.int64]
-_LONGEST = ActionView.LONGEST
 SLOTS = 12  # most slots that a search of a policy of passes takes
 # The next two are about speed, and no result depends on them. Why these, no record says; the CPU
 # time of `knotgym collect --policy expert --engine chain` would tell.
@@ -134,7 +125,7 @@ class LaneSearches:
         check.restore(state[None])
         follower.begin_passes(one, [move], check.points)
         pulls = 0
-        while pulls < _LONGEST and not follower.arrive(check.points, one)[0]:
+        while pulls < LONGEST and not follower.arrive(check.points, one)[0]:
             forces = follower.forces(check.points, one).astype(np.float64)
             stable = check.step(follower.beads, forces * check.max_force)[0]
             pulls += 1
@@ -262,7 +253,7 @@ class PassPlayer(Player):
         settled = self.settle(passing)
         # Waypoints that were reached are passed before anything is decided, so that a pass that is
         # over leads to a search in this very action.
-        over = follower.arrive(points, passing) | (self._taken[passing] >= _LONGEST)
+        over = follower.arrive(points, passing) | (self._taken[passing] >= LONGEST)
         self._search(self._without_plan(passing[over & ~settled]))
         self._last_resort.look(ids[self._by_pulls[ids]])
         self.searches.tick()
