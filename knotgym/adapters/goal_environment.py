@@ -146,14 +146,11 @@ class OGBenchEnv(KnotEnv):
         self.observation_space = _rope_space(self.config)
         rows = self.episodes.rows["start"]
         starts = [int(rows[k * len(rows) // _TASKS]) for k in range(_TASKS)]
-        goals = [self.episodes.goal_rows(start) for start in starts]
+        fitting = [self.episodes.goal_rows(start) for start in starts]
+        goals = [int(some[k * len(some) // _TASKS]) for k, some in enumerate(fitting)]
         self.task_infos = [
-            {
-                "task_name": f"task{k + 1}",
-                "start": start,
-                "goal": int(goals[k][k * len(goals[k]) // _TASKS]),
-            }
-            for k, start in enumerate(starts)
+            {"task_name": f"task{k}", "start": start, "goal": goal}
+            for k, (start, goal) in enumerate(zip(starts, goals, strict=True), 1)
         ]
 
     def reset(

@@ -19,6 +19,7 @@ After a change run `pytest tests/envs/test_marked.py`: all images of a state mus
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -210,21 +211,14 @@ class Marked(NamedTuple):
         """Return the parts of observations (n, size(beads)); the inverse of `joined`."""
         rows = np.asarray(observations)
         count, beads = len(rows), (rows.shape[1] - cls.size(0)) // 5
-        lengths = (3 * beads, 2 * beads, 2 * TOKENS, 2 * TOKENS, 9, 3)
-        points, marks, code, goal, axes, centres, reverse = np.split(
-            rows, np.cumsum(lengths), axis=1
+        shapes = (beads, 3), (beads, 2), (TOKENS, 2), (TOKENS, 2), (3, 3), (3,), ()
+        ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
+        parts = zip(np.split(rows, ends, axis=1), shapes, strict=True)
+        points, marks, code, goal, axes, centres, reverse = (
+            part.reshape(count, *shape) for part, shape in parts
         )
-        return cls(
-            points.reshape(count, beads, 3),
-            marks.reshape(count, beads, 2),
-            code.reshape(count, TOKENS, 2),
-            goal.reshape(count, TOKENS, 2),
-            CanonicalFrames(
-                axes.reshape(count, 3, 3).astype(np.float64),
-                centres.astype(np.float64),
-                reverse[:, 0] > 0.5,
-            ),
-        )
+        places = axes.astype(np.float64), centres.astype(np.float64)
+        return cls(points, marks, code, goal, CanonicalFrames(*places, reverse > 0.5))
 
     def rows(self, index: Any) -> Marked:
         """Return some of the observations."""

@@ -200,12 +200,8 @@ class Agent:
             ((_, made),) = self._planning.run([found], _PLANNER.batch_size)
             episode.imagined += made.spent
             left -= made.spent
-            pulls = [
-                PlannedPull(bead, force)
-                for bead, force in zip(
-                    made.beads.tolist(), made.forces.astype(np.float64), strict=True
-                )
-            ]
+            planned = zip(made.beads.tolist(), made.forces.astype(np.float64), strict=True)
+            pulls = [PlannedPull(bead, force) for bead, force in planned]
             # a plan that doesn't reach the goal is still better than none, which scores -1
             success_rate = self._success_rate(episode, pulls) if made.solved else -0.5
             if success_rate > highest and pulls:
@@ -276,9 +272,8 @@ class _PicturePlayer:
             self._agent.begin(index, rng, self._batch.task.horizon)
 
     def act(self, ids: NDArray[np.int64]) -> Pulls:
-        actions = np.stack(
-            [self._agent.act(index, self._batch.rgb(index)) for index in ids.tolist()]
-        )
+        chosen = [self._agent.act(index, self._batch.rgb(index)) for index in ids.tolist()]
+        actions = np.stack(chosen)
         self.planned[ids] = [self._agent.imagined(index) for index in ids.tolist()]
         # The agent names a point, as an action does: which bead that is, the simulation decides and
         # the agent must infer.

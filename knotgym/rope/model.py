@@ -371,9 +371,8 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
     # The root in the middle (published: at the start) halves the longest lever from root to end,
     # and with it the errors that add up on the way. MuJoCo integrates joint angles, which differ
     # between the two, so that beads end up millimetres apart after an action.
-    free = _add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
+    body = free = _add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
     free.add_freejoint()
-    body = free
     for bead in range(root + 1, last + 1):
         body = _add_bead(body, bead, [length, 0.0, 0.0], turn)
         body.add_joint(**joint)
