@@ -190,7 +190,14 @@ def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
         for field in dataclasses.fields(kind)  # type: ignore[arg-type]
         if dataclasses.is_dataclass(field.default)
     }
-    return _validated(kind, merged(nested, values))
+    try:
+        text = json.dumps(merged(nested, values), default=_jsonable)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"{kind.__name__} is made of JSON values: {one_line(error)}") from None
+    try:
+        return TypeAdapter(kind).validate_json(text)  # lists become tuples, objects configurations
+    except ValidationError as error:
+        _refuse(error, kind)
 
 
 def merged(below: Any, above: Any) -> Any:
@@ -199,18 +206,6 @@ def merged(below: Any, above: Any) -> Any:
         return above
     common = {name: merged(below[name], above[name]) for name in above if name in below}
     return {**below, **above, **common}
-
-
-def _validated(kind: type[Config], values: Any) -> Config:
-    """Validate JSON: its lists become tuples, its objects configurations."""
-    try:
-        text = json.dumps(values, default=_jsonable)
-    except (TypeError, ValueError) as error:
-        raise InvalidInput(f"{kind.__name__} is made of JSON values: {one_line(error)}") from None
-    try:
-        return TypeAdapter(kind).validate_json(text)
-    except ValidationError as error:
-        _refuse(error, kind)
 
 
 def _jsonable(value: Any) -> Any:
@@ -228,7 +223,8 @@ def _refuse(error: ValidationError, kind: type) -> NoReturn:
     first, path, is_field = problems[0], list[str](), False
     for name in map(str, first["loc"]):  # beyond a field: an index, or a member of a union
         path.append(name)
-        inner = _configuration_in(get_type_hints(kind).get(name))
+        hint = get_type_hints(kind).get(name)  # of a configuration, or such as `X | None`
+        inner: Any = next(filter(dataclasses.is_dataclass, (hint, *get_args(hint))), None)
         if is_field := inner is None:
             break
         kind = inner
@@ -258,11 +254,6 @@ def _problem(error: Any) -> str:
     for theirs, ours in _WORDS.items():
         problem = problem.replace(theirs, ours)
     return problem
-
-
-def _configuration_in(hint: Any) -> Any:
-    """The configuration class that a field's type is or allows, such as `X | None`; else None."""
-    return next((one for one in (hint, *get_args(hint)) if dataclasses.is_dataclass(one)), None)
 
 
 def _members(hint: Any) -> Iterator[Any]:

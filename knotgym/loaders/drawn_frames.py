@@ -107,7 +107,8 @@ class DrawnFrames:
                 found[name] = [self._beside(name, *pair) for pair in every]
                 continue
             halves = self._halves(name, [ids for pair in every for ids in pair])
-            axis = self._axis(name)
+            # along which the goal follows the rope
+            axis = 2 if self._dataset.task.layout == "beside" else 3
             pairs = zip(halves[::2], halves[1::2], strict=True)
             found[name] = [np.concatenate(pair, axis=axis) for pair in pairs]
         return self._shaped(found, shown)
@@ -129,19 +130,10 @@ class DrawnFrames:
 
     def _shaped(self, found: dict[str, list[NDArray[Any]]], shown: list[Ids]) -> list[Any]:
         each = [
-            {
-                name: parts[k].reshape(*ids.shape, *parts[k].shape[1:])
-                for name, parts in found.items()
-            }
+            {n: parts[k].reshape(*ids.shape, *parts[k].shape[1:]) for n, parts in found.items()}
             for k, ids in enumerate(shown)
         ]
         return each if self.observation == "both" else [one[self.observation] for one in each]
-
-    def _axis(self, name: str) -> int:
-        """Return the axis along which the goal follows the rope."""
-        if name != "pixels":
-            return 1
-        return 2 if self._dataset.task.layout == "beside" else 3
 
     def _halves(self, name: str, shown: list[Ids]) -> list[NDArray[Any]]:
         if name != "pixels":

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,7 @@ class HandTab:
         self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
         row = (
             ("Undo", "Z", lambda: self._after(self.session.undo)),
-            ("Reset", "R", lambda: self._after(self._start_again)),
+            ("Reset", "R", lambda: self._after(partial(self.session.begin, self.session.number))),
             ("Next start", "N", self._next),
             ("Let it pull once", "P", self._policy_pull),
             ("View from above", "V", lambda: self.scene.look_from_above(self.session.points)),
@@ -179,9 +180,6 @@ class HandTab:
         change()
         self._note()
         self._show()
-
-    def _start_again(self) -> None:
-        self.session.begin(self.session.number)
 
     def _next(self) -> None:
         self._keep()

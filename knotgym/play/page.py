@@ -83,7 +83,7 @@ class Page:
         )
         self.address = f"http://{_HOST}:{self._server.get_port()}/{token}/"
         self._server.on_client_connect(self._connected)
-        self._server.on_client_disconnect(self._gone)
+        self._server.on_client_disconnect(lambda client: self._leave(client.client_id))
 
     def __enter__(self) -> Self:
         return self
@@ -100,9 +100,6 @@ class Page:
                 client.add_notification("knotgym", f"{_MOST_TABS} ropes are being played already")
                 return
             self.players[client.client_id] = self._open_tab(client)
-
-    def _gone(self, client: Any) -> None:
-        self._leave(client.client_id)
 
     def _leave(self, number: int) -> None:
         with self._lock:

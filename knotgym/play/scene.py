@@ -110,10 +110,8 @@ class RopeScene:
 
 def _at(points: Array, place: float) -> Array:
     """Return the point at a place along the rope, (3,): bead and fraction of its edge."""
-    bead = int(place) % len(points)
-    share = place - int(place)
-    found: Array = (1 - share) * points[bead] + share * points[(bead + 1) % len(points)]
-    return found
+    bead, share = int(place) % len(points), place % 1
+    return np.asarray((1 - share) * points[bead] + share * points[(bead + 1) % len(points)])
 
 
 def _poses(points: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

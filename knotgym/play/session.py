@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Stream
-from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy
+from knotgym.control import Player, Policy, PolicyConfig, make_policy
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import Array, WaypointFollower
 
@@ -47,16 +47,14 @@ class Session:
     def __init__(self, task: TaskConfig, seed: int = 0, number: int = 0) -> None:
         self.task, self.seed, self.batch = task, seed, EpisodeBatch(task)
         self._policies: dict[PolicyConfig, Policy] = {}
-        self._acting: tuple[PolicyConfig, Player] | None = (
-            None  # the policy that pulled last, if one did
-        )
+        # the policy that pulled last, if one did
+        self._acting: tuple[PolicyConfig, Player] | None = None
         self.begin(number)
 
     @property
     def points(self) -> Array:
         """Vertices of the rope, float64 (beads, 3), metres; valid until the next pull."""
-        points: Array = self.batch.simulation.points[0]
-        return points
+        return np.asarray(self.batch.simulation.points[0])
 
     @property
     def success(self) -> bool:
@@ -129,7 +127,8 @@ class Session:
             return
         if self._acting is None or self._acting[0] != policy:
             self._acting = policy, self._player(policy)
-        pulls = _thought(self._acting[1])
+        while not len((pulls := self._acting[1].act(_ROPE)).ids):
+            pass  # it hasn't planned its pull yet
         self._take(HandPull(int(pulls.beads[0]), pulls.forces[0].copy(), helped=True))
 
     def _player(self, config: PolicyConfig) -> Player:
@@ -148,11 +147,3 @@ class Session:
         self.pulls.append(pull)
         self.reward += float(outcome.rewards[0])
         self.ended = bool(outcome.terminated[0] or outcome.truncated[0])
-
-
-def _thought(player: Player) -> Pulls:
-    """Ask a player until it has planned its pull."""
-    pulls = player.act(_ROPE)
-    while not len(pulls.ids):
-        pulls = player.act(_ROPE)
-    return pulls

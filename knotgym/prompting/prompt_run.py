@@ -32,7 +32,6 @@ from knotgym.prompting.prompts import (
     READ,
     STATEFUL,
     TEXTS,
-    Part,
     Picture,
     PromptConfig,
     Turn,
@@ -147,7 +146,10 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
             "success": False,
             "gauss_code": [str(begun["gauss_code"][number])],
             "actions": [],
-            "prompt": [_named(part) for part in befores[number]],
+            "prompt": [
+                part if isinstance(part, str) else {"picture": part.sha256}
+                for part in befores[number]
+            ],
             "turns": [],
         }
         for number in range(count)
@@ -228,8 +230,7 @@ def _packed(reply: Mapping[str, Any]) -> Result:
 
 def _unpacked(kept: Result) -> dict[str, Any]:
     """Unpack a reply that `_packed` packed."""
-    reply: dict[str, Any] = json.loads(bytes(kept["reply"]))
-    return reply
+    return dict(json.loads(bytes(kept["reply"])))
 
 
 def _flat(config: PromptConfig) -> dict[str, Any]:
@@ -270,10 +271,6 @@ def _answer(reply: Mapping[str, Any], fault: str) -> dict[str, Any]:
     """Return the fields of a transcript that describe a reply."""
     kept = ("reasoning", "rejected", "finish", "retries", *TOKENS)
     return {"answer": reply["text"], "fault": fault, **{name: reply[name] for name in kept}}
-
-
-def _named(part: Part) -> Any:
-    return part if isinstance(part, str) else {"picture": part.sha256}
 
 
 def _pictures(

@@ -102,20 +102,13 @@ def caption(centre: Sequence[float] | None) -> str:
     """
     if centre is None:
         return str(TEXTS["now"])
-    x, y = centre
-    return str(TEXTS["now_at"].format(x=x, y=y))
+    return str(TEXTS["now_at"].format(x=centre[0], y=centre[1]))
 
 
 @lru_cache(maxsize=1)
 def first() -> Picture:
     """Return the explanatory picture with which every prompt begins; see docs/first_picture.py."""
     return Picture((_FOLDER / "first-picture.png").read_bytes())
-
-
-def _question(mode: str, most: int) -> str:
-    """Return a mode's question; `most` is the maximum number of actions."""
-    text = TEXTS["open_question" if mode == OPEN else "step_question"]
-    return str(text.format(most=most))
 
 
 def opening(goal: Picture) -> list[Part]:
@@ -125,8 +118,9 @@ def opening(goal: Picture) -> list[Part]:
 
 
 def _turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
-    """Return the parts of one turn."""
-    return [now.caption, now, _question(mode, most)]
+    """Return the parts of one turn; `most` is the maximum number of actions."""
+    question = TEXTS["open_question" if mode == OPEN else "step_question"]
+    return [now.caption, now, str(question.format(most=most))]
 
 
 def reading(picture: Picture) -> list[Part]:

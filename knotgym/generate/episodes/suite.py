@@ -27,7 +27,7 @@ from knotgym.common import (
     require_output,
 )
 from knotgym.control import replay
-from knotgym.datasets import EpisodeDataset, expanded, open_episodes, suite_card
+from knotgym.datasets import expanded, open_episodes, suite_card
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
 from knotgym.generate.episodes.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
 from knotgym.generate.episodes.recordings import Recording, first_difference
@@ -156,7 +156,9 @@ def _describe_set(made: Path) -> dict[str, Any]:
         stored = dataset.attributes.get("expansion")
         if first is None and stored not in (None, digests.get("expansion")):
             agreement = "differs from its own digest: knotgym dataset verify says where"
-        elif first is None and _played_otherwise(dataset):
+        elif first is None and expanded(
+            drawn := dataset.drawn(_DRAWN), replay
+        ).episodes.differences(drawn.episodes):
             agreement = "differs when played again: knotgym dataset verify says where"
     files = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
@@ -173,13 +175,6 @@ def _describe_set(made: Path) -> dict[str, Any]:
         "versions": versions,
         "recorded": agreement,
     }
-
-
-def _played_otherwise(dataset: EpisodeDataset) -> bool:
-    """Tell whether drawn episodes hold other columns than their pulls give."""
-    drawn = dataset.drawn(_DRAWN)
-    made = expanded(drawn, replay).episodes
-    return bool(made.differences(drawn.episodes, drawn.numbers))
 
 
 def _write_card(sets: Mapping[str, Any], seed: int, folder: Path) -> None:

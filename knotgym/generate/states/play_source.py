@@ -160,9 +160,8 @@ class _PhasePlayer(Player):
         for index in ids.tolist():
             key = self._policy.keys[self._batch.number[index]]
             self._drawn[index] = drawn_actions(key, self._policy.config.random)
-            self._rngs[index] = Stream.generator_of(
-                (*key[:-1], key[-1] + 1)
-            )  # actions have their own
+            own = (*key[:-1], key[-1] + 1)  # actions have their own
+            self._rngs[index] = Stream.generator_of(own)
         self._scripted.begin(ids, [self._rngs[index] for index in ids.tolist()])
 
     def act(self, ids: Ids) -> Pulls:
@@ -284,9 +283,8 @@ def rows_of_ropes(
                 even = _wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
                 if have[code.nx, split] >= _wanted(config, code.nx, split):
                     continue
-                if _READABLE == config.source and of_code[split, code] >= max(
-                    _LEAST, _UNEVEN * even
-                ):
+                most = max(_LEAST, _UNEVEN * even) if config.source == _READABLE else np.inf
+                if of_code[split, code] >= most:
                     continue
                 if selection.offer(rows, row):
                     have[code.nx, split] += 1
@@ -322,13 +320,6 @@ def _ropes_of(rows: Table) -> list[int]:
     return [int(seed[2]) for seed in rows["source/seed"]]
 
 
-def _key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
-    """Return the key of a rope's random stream."""
-    stream = SOURCES[config.source].stream
-    assert stream is not None
-    return stream.key(config.seed, rope)
-
-
 def _pulls_of(config: GenerateConfig) -> PlayConfig:
     """Return the pulls of the ropes."""
     return config.play if config.source == _READABLE else config.walk
@@ -346,7 +337,9 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
     """
     pulls = _pulls_of(config)
     ropes = range(first, first + pulls.ropes)
-    keys = [_key_of(config, rope) for rope in ropes]
+    stream = SOURCES[config.source].stream
+    assert stream is not None
+    keys = [stream.key(config.seed, rope) for rope in ropes]
     pulled = _pulled_ropes(pulls, config.engine_used, keys)
     played = config.source == _READABLE
     limits = [config.limits, config.twist] if played else [config.twist]
@@ -355,9 +348,8 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
     codes = label_many(np.array([frame.points for frame in pulled.frames])) if pulled.frames else []
     for frame, code in zip(pulled.frames, codes, strict=True):
         rope = ropes[frame.rope]
-        if (code.nx, _split_of(config, rope)) not in lacking:
-            continue
-        if kept[rope, code.nx] == pulls.per_rope:
+        wanted = (code.nx, _split_of(config, rope)) in lacking
+        if not wanted or kept[rope, code.nx] == pulls.per_rope:
             continue
         judgement = judge(frame.points, limits)
         rejected[code.nx].update(judgement.faults)
