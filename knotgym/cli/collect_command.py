@@ -54,10 +54,8 @@ def collect(
         # settings may hold anything, also what can't be hashed; it is refused below
         pairs = [pair for number, pair in enumerate(every) if pair not in every[:number]]
     usual = {"policy_observation": "" if given.has("task.observation") else "state"}
-    configs = [
-        given.config(CollectConfig, {"task.task": one, "task.nx": of}, usual=usual)
-        for one, of in pairs
-    ]
+    named = ({"task.task": one, "task.nx": of} for one, of in pairs)
+    configs = [given.config(CollectConfig, one, usual=usual) for one in named]
     # refuse any of them before playing the first
     configs = [require_collectable(config, out, options) for config in configs]
     for config in configs:
@@ -109,7 +107,6 @@ def _sizes(text: str, policies: Sequence[str]) -> dict[str, int]:
     if len(pairs) == 1 and not pairs[0][1]:
         pairs = [(policy, "=", pairs[0][0]) for policy in policies]
     if not all(name and count.isdecimal() and len(count) < 10 for name, _, count in pairs):
-        raise InvalidInput(
-            f"--episodes takes a number, or one per policy (expert=3000,random=100); got {text!r}"
-        )
+        such = "a number, or one per policy (expert=3000,random=100)"
+        raise InvalidInput(f"--episodes takes {such}; got {text!r}")
     return {name: int(count) for name, _, count in pairs}

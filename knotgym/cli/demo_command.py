@@ -43,9 +43,8 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
         dataset = collect(config, folder / "minari", options, progress=Progress(quiet=True))
         played = open_episodes(dataset)
         first = Image.fromarray(Transitions(dataset, observation="pixels").observations(0, 0, 1)[0])
-        first.resize((4 * first.width, 4 * first.height), Image.Resampling.NEAREST).save(
-            folder / "reset.png"
-        )
+        size = (4 * first.width, 4 * first.height)
+        first.resize(size, Image.Resampling.NEAREST).save(folder / "reset.png")
         progress.stage("drawing the film and the page")
         frames = [frame for row in range(2) for frame in film(played.episodes, config.task, row)]
         Film(folder / film_name).write(frames)

@@ -55,9 +55,8 @@ def evaluate(
     names = policy or ["random"]
     more = _trained_on(given, names)
     if policy or given.has("policy"):
-        more["policies"] = [
-            given.config(PolicyConfig, {"policy": name}, section="policy") for name in names
-        ]
+        typed = ({"policy": name} for name in names)
+        more["policies"] = [given.config(PolicyConfig, one, section="policy") for one in typed]
     config = given.config(EvaluateConfig, more)
     evaluate(config, given.run, out=out, video=video, record=record, progress=given.progress)
 

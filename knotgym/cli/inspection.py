@@ -122,9 +122,7 @@ def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
     states = read_states(path, images=False)
     _require_row(row, len(states))
     if not {"start_qpos", "actions", "steps"} <= states.source.keys():
-        raise InvalidInput(
-            f"{path} has no recorded actions for its states, so they can't be replayed"
-        )
+        raise InvalidInput(f"{path} has no recorded actions, so its states can't be replayed")
     end, rope = states.points[row], RopeConfig.of(states.points.shape[1])
     simulation = simulation_of(1, rope, states.engine)
     simulation.set_qpos(states.source["start_qpos"][row][None])

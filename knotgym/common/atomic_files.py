@@ -73,10 +73,8 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         return
     if target.is_dir() != folder:
         found, wanted = ("file", "folder") if folder else ("folder", "file")
-        raise Occupied(
-            f"{target} is a {found}, and the output is a {wanted}, which never replaces a {found};"
-            " choose another --out"
-        )
+        never = f"a {wanted} never replaces a {found}"
+        raise Occupied(f"{target} is a {found}, and {never}; choose another --out")
     if not folder and not target.is_file():
         raise Occupied(f"{target} is a device or a pipe, which is never replaced")
     if folder and Path.cwd().is_relative_to(target.resolve()):

@@ -30,9 +30,8 @@ class Stream(IntEnum):
 
     SPLIT = 2  # nx: train or test
     CODE_ORDER = 4  # nx: order in which codes are processed
-    EPISODE = (
-        13  # episode number: the seed of its environment, in datasets; evaluations have another
-    )
+    # episode number: the seed of its environment, in datasets; evaluations have another
+    EPISODE = 13
     POLICY = 14  # episode number, rollout of the episode: the policy's draws, in datasets
     IMAGE_WALK = 15  # rope: the seed of its policy
     IMAGE_WAVE = 16  # wave: start states of its ropes
@@ -74,9 +73,7 @@ class Stream(IntEnum):
             raise InvalidInput(f"a stream has at most {_COUNTERS} counters, got {counters}")
         numbers = (int(seed), *map(int, counters))
         if not all(0 <= number <= _MOST for number in numbers):
-            raise InvalidInput(
-                f"a seed and its counters must be from 0 to 2**63 - 1, got {numbers}"
-            )
+            raise InvalidInput(f"a seed and its counters must be in [0, 2**63 - 1], got {numbers}")
         return (int(self), *numbers, *([0] * (_COUNTERS - len(counters))))
 
     def generator(self, seed: int, *counters: int) -> np.random.Generator:

@@ -93,9 +93,8 @@ class Column(NamedTuple):
             first = np.argwhere(~np.isfinite(values))[0].tolist()
             raise InvalidInput(f"column {self.name} holds {values[tuple(first)]} at {first}")
         elif self.least is not None and values.size and values.min() < self.least:
-            raise InvalidInput(
-                f"column {self.name} holds {values.min()}, should be at least {self.least:g}"
-            )
+            least = f"{values.min()}, should be at least {self.least:g}"
+            raise InvalidInput(f"column {self.name} holds {least}")
 
 
 class Schema(NamedTuple):
@@ -430,9 +429,7 @@ def _attribute(file: h5py.File, name: str) -> Any:
     """Read an attribute of the file: text, a number, or what its JSON holds."""
     stored = file.attrs.get_id(name)  # a damaged one may declare any size
     if stored.shape != () or stored.dtype.kind not in "biufS":
-        raise InvalidInput(
-            f"attribute {name} is {stored.dtype} {stored.shape}, not a text or number"
-        )
+        raise InvalidInput(f"attribute {name} is {stored.dtype} {stored.shape}, not text or number")
     value = file.attrs[name]
     value = value.decode() if isinstance(value, bytes) else value.item()
     if not f"{name}{value}".isprintable():
@@ -445,9 +442,8 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
     if not isinstance(data, h5py.Dataset) or data.shape is None:
         raise InvalidInput(f"column {column.name} should be a dataset")
     if h5py.check_enum_dtype(data.dtype) is not None or data.dtype.hasobject:
-        raise InvalidInput(
-            f"column {column.name} is {_type_name(data.dtype)}, should be {column.dtype}"
-        )
+        kind = _type_name(data.dtype)
+        raise InvalidInput(f"column {column.name} is {kind}, should be {column.dtype}")
     require_stored_here(data, column.name)
     offset = data.id.get_offset()
     if data.dtype.kind == "S":
@@ -494,11 +490,8 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
         raise InvalidInput(f"column {', '.join(lacking)} is missing in some tables to append")
     schemas = [table.schema.only(*names) for table in tables]
     padded = {c.shape[0] for c in schemas[0].columns if c.padded}
-    most = {
-        word: max(dict(schema.sizes)[word] for schema in schemas)
-        for word, _ in schemas[0].sizes
-        if word in padded
-    }
+    sizes = [dict(schema.sizes) for schema in schemas]
+    most = {word: max(own[word] for own in sizes) for word in sizes[0] if word in padded}
     first, *others = (schema.sized(**most) for schema in schemas)
     for other in others:
         for one, found in zip(first.columns, other.columns, strict=True):

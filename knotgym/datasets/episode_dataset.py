@@ -162,9 +162,8 @@ class EpisodeDataset:
     def found_task(self) -> TaskConfig:
         """The task with the path of its states, so that its environment can be made."""
         named = self.task.states
-        return (
-            self.task if is_bundled(named) else replace(self.task, states=str(self.states_path()))
-        )
+        own = self.task
+        return own if is_bundled(named) else replace(own, states=str(self.states_path()))
 
     def states_path(self) -> Path:
         """Return the state file that the episodes were reset from, found by its digest.

@@ -220,10 +220,8 @@ def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
             yield f"episode {numbers[row]}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
         second = pyknotid_code(_float64(steps["observation"][last])).chiral
         if second != chiral[last]:
-            yield (
-                f"episode {numbers[row]}, step {own['length'][row]}: pyknotid reads {second!r},"
-                f" the file says {chiral[last]!r}"
-            )
+            where = f"episode {numbers[row]}, step {own['length'][row]}"
+            yield f"{where}: pyknotid reads {second!r}, the file says {chiral[last]!r}"
         knots = [knot_type(GaussCode.parse(str(code))) for code in (begins[row], wanted[row])]
         if knots[0] != knots[1]:
             yield (
@@ -330,9 +328,8 @@ def _start_fault(points: Array, named: int, states: States, dataset: EpisodeData
     apart = distances(points, states.points)
     apart[mine] = np.inf
     row = int(apart.argmin())
-    return (
-        f"its start is row {row}, which isn't of the {split} split" if apart[row] < _MATCH else ""
-    )
+    near = apart[row] < _MATCH
+    return f"its start is row {row}, which isn't of the {split} split" if near else ""
 
 
 def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]]]:

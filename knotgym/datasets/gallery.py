@@ -59,9 +59,8 @@ def _contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]
 def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     """Write the contact sheet of tiles as a PNG."""
     # level 9 takes five times as long, for 2 % less
-    _, data = cv2.imencode(
-        ".png", _contact_sheet(tiles)[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6]
-    )
+    sheet = _contact_sheet(tiles)[..., ::-1]
+    _, data = cv2.imencode(".png", sheet, [cv2.IMWRITE_PNG_COMPRESSION, 6])
     Path(path).write_bytes(bytes(data))
 
 
@@ -115,16 +114,12 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
         own = one.episodes.episodes
         crossings = (np.count_nonzero(own["goal_visits"], axis=1) // 2).tolist()
         every += [(number, row) for row in range(own.rows)]
-        strata += [
-            (number, nx, bool(reached))
-            for nx, reached in zip(crossings, own["success"].tolist(), strict=True)
-        ]
+        outcomes = own["success"].tolist()
+        strata += [(number, *pair) for pair in zip(crossings, outcomes, strict=True)]
     for number, row in (every[k] for k in sample(strata)):
         (own, steps), last = opened[number].episodes, opened[number].episodes.last()[row]
-        code, goal = (
-            str(gauss_codes(visits)[0]) or "loop"
-            for visits in (steps["visits"][[last]], own["goal_visits"][[row]])
-        )
+        both = steps["visits"][[last]], own["goal_visits"][[row]]
+        code, goal = (str(gauss_codes(visits)[0]) or "loop" for visits in both)
         outcome = "reached" if own["success"][row] else "failed"
         name = f"{opened[number].name}  " if len(opened) > 1 else ""
         end = outcome if own["success"][row] else f"{outcome}, goal {goal}"

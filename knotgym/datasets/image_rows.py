@@ -91,10 +91,8 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     columns = [column.tolist() for column in (*positions, crossings.sign)]
     names = ("x", "y", "over_place", "under_place", "sign")
     kinds = APPEARANCES[drawn.look.name].own_columns
-    own = {
-        name: encode(value) if kinds[name]["type"] == "image" else value
-        for name, value in drawn.columns.items()
-    }
+    images = {name for name, kind in kinds.items() if kind["type"] == "image"}
+    own = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
     return {
         **_CODES.derive(rope),
         "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],

@@ -43,9 +43,8 @@ _LARGEST = 4096  # pixels, side of the largest picture that is decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 # `columns.toml` has the types of Arrow, from which the schema of pyarrow is made
-TABLES: dict[str, Any] = tomllib.loads(
-    (files("knotgym.datasets") / "columns.toml").read_text("utf-8")
-)
+_COLUMNS_FILE = files("knotgym.datasets") / "columns.toml"
+TABLES: dict[str, Any] = tomllib.loads(_COLUMNS_FILE.read_text("utf-8"))
 TABLES["pictures"]["quality"]["type"] = dict.fromkeys(Quality.UNITS, "float64")
 COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
 
@@ -97,10 +96,8 @@ def picture_column(pictures: Iterable[bytes]) -> Any:
 def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     """Return rows of one appearance, pictures as PNG bytes, as a pyarrow.Table."""
     columns = columns_among(rows[0] if rows else ())
-    full = [
-        {**row, **{name: {"bytes": row[name], "path": None} for name in _pngs(columns)}}
-        for row in rows
-    ]
+    pngs = _pngs(columns)
+    full = [{**row, **{n: {"bytes": row[n], "path": None} for n in pngs}} for row in rows]
     return arrow().Table.from_pylist(full, schema=_schema(columns))
 
 
@@ -127,9 +124,7 @@ def encode(image: NDArray[np.uint8], level: int = 9) -> bytes:
     stored = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
     done, data = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, level])
     if not done:
-        raise InvalidFile(
-            f"a picture must be uint8 (size, size, 3), got {image.dtype} {image.shape}"
-        )
+        raise InvalidFile(f"a picture is uint8 (size, size, 3), got {image.dtype} {image.shape}")
     return bytes(data)
 
 
@@ -139,9 +134,7 @@ def decode(data: bytes) -> NDArray[np.uint8]:
         raise InvalidFile(f"{len(data)} bytes that aren't a PNG picture")
     width, height = struct.unpack(">II", data[16:24])
     if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
-        raise InvalidFile(
-            f"a picture may have at most {_LARGEST} pixels a side, got {width} x {height}"
-        )
+        raise InvalidFile(f"a picture has at most {_LARGEST} pixels a side, got {width} x {height}")
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise InvalidFile(f"{len(data)} bytes that aren't a PNG picture")

@@ -166,9 +166,8 @@ def try_files(paths: Iterable[Path], pool: Executor) -> None:
         except BrokenExecutor as error:
             raise InvalidFile(f"{path} makes the HDF5 library crash; don't open it") from error
         except TimeoutError:
-            raise InvalidFile(
-                f"{path} makes the HDF5 library hang: not read in {limit:.0f} s; don't open it"
-            ) from None
+            what = f"makes the HDF5 library hang: not read in {limit:.0f} s"
+            raise InvalidFile(f"{path} {what}; don't open it") from None
 
 
 def _read_whole(path: Path) -> None:

@@ -64,10 +64,8 @@ from knotgym.states import CODE_SPLITS, minari_root
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
 METADATA = "metadata.json"
 # columns of steps that Minari's form has under other names
-_PLACED = {
-    *("observation", "action", "reward", "terminated", "truncated"),
-    *("force", "applied_fraction", "visits", "signs"),
-}
+_PLACED = {"observation", "action", "reward", "terminated", "truncated", "force"}
+_PLACED |= {"applied_fraction", "visits", "signs"}
 _OF_PULLS = {  # arrays of pulls -> columns
     **{"actions": "action", "rewards": "reward"},
     **{"terminations": "terminated", "truncations": "truncated"},

@@ -92,12 +92,8 @@ def _episode(
     truncated = read("truncations") & ~terminated
     truncated[-1] = not terminated[-1]
     codes = CodeArrays.read(np.concatenate([points, goals[:1].astype(np.float64)]))
-    sizes = {
-        "beads": task.beads,
-        "nq": Rope(rope).nq,
-        "visits": codes.visits.shape[1],
-        "labels": codes.signs.shape[1],
-    }
+    sizes = {"beads": task.beads, "nq": Rope(rope).nq}
+    sizes |= {"visits": codes.visits.shape[1], "labels": codes.signs.shape[1]}
     optional = [c.name for c in STEPS.columns if c.of == "pull" and c.optional]
     schema = STEPS.sized(**sizes).without(*optional)
     shown = Shown(points, codes.visits[:-1], codes.signs[:-1], codes.crossings[:-1])
@@ -116,16 +112,9 @@ def _episode(
     for column, values in led.items():
         steps[column][:-1] = values  # no pull is made in the last state
     own = EPISODES.sized(**sizes).empty(1) | {"policy": np.array([policy])}
-    known = {
-        "seed": items[name].attrs.get("seed", -1),
-        "start": -1,
-        "goal": -1,
-        "start_qpos": np.nan,
-        "goal_visits": codes.visits[-1],
-        "length": pulls,
-        "return_": steps["reward"].sum(),
-        "goal_points": goals[0],
-    }
+    known = {"seed": items[name].attrs.get("seed", -1), "length": pulls}
+    known |= {"start": -1, "goal": -1, "start_qpos": np.nan, "return_": steps["reward"].sum()}
+    known |= {"goal_visits": codes.visits[-1], "goal_points": goals[0]}
     for column, value in known.items():
         own[column][:] = value
     return Episodes(Table(EPISODES.sized(**sizes), own), Table(schema, steps))

@@ -181,9 +181,7 @@ def merge(
     datasets = [one.dataset for one in found if isinstance(one, EpisodeRows)]
     if len(given) not in (len(states), len(datasets)):
         kinds = ", ".join(locate(name).kind for name in given)
-        raise InvalidInput(
-            f"datasets to merge are all of states or all of trajectories, got {kinds}"
-        )
+        raise InvalidInput(f"datasets to merge are all of states or all of episodes, got {kinds}")
     if dataset_id:
         if states:
             raise InvalidInput("an id is for episodes; give --out for states")
@@ -350,9 +348,7 @@ def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
     told = Counts.over(datasets, "comparing episodes of datasets", len(datasets))
     for pair in repeated(digest for one in told for digest in one.episodes.digests()):
         first, second = (f"episode {every[k][1]} of {every[k][0].path}" for k in pair)
-        raise InvalidInput(
-            f"{first} and {second} are the same; merge datasets that share no episode"
-        )
+        raise InvalidInput(f"{first} and {second} are the same; merge sets that share no episode")
 
 
 def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMetadata:

@@ -236,14 +236,15 @@ def _tensors(
             if f"next_{name}" in columns:
                 after[name] = columns[f"next_{name}"]
 
-    def seen(observations: Any) -> dict[str, NDArray[Any]]:
-        return observations if isinstance(observations, dict) else {"observation": observations}
-
+    seen, then = (
+        one if isinstance(one, dict) else {"observation": one}
+        for one in (columns["observations"], columns["next_observations"])
+    )
     added |= {name: columns[name] for name in ("beads", "whole") if name in columns}
     episode = np.repeat(np.arange(transitions.segments), np.diff(transitions.starts))
     return tensordict.TensorDict(
         {
-            **seen(columns["observations"]),
+            **seen,
             "action": columns["actions"],
             "episode": episode[some],
             **added,
@@ -252,7 +253,7 @@ def _tensors(
             "truncated": running.copy(),
             "next": {
                 **after,
-                **seen(columns["next_observations"]),
+                **then,
                 "reward": columns["rewards"][:, None].astype(np.float32),
                 "done": terminated | truncated,
                 "terminated": terminated,

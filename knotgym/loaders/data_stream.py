@@ -111,10 +111,8 @@ class DataStream:
         dataset = EpisodeDataset(Path(f"block {number}"), block, config.task, {})
         transitions = Transitions(dataset, **self._opening)
         if not len(transitions):
-            raise InvalidInput(
-                f"episodes {first} to {first + self._size - 1} have no such transitions: make the"
-                " block larger"
-            )
+            which = f"episodes {first} to {first + self._size - 1}"
+            raise InvalidInput(f"{which} have no such transitions: make the block larger")
         return transitions
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
@@ -149,8 +147,7 @@ def _share() -> tuple[int, int]:
         return 0, 1
     worker = torch.utils.data.get_worker_info()
     ranks = torch.distributed.is_available() and torch.distributed.is_initialized()
-    rank, many = (
-        (torch.distributed.get_rank(), torch.distributed.get_world_size()) if ranks else (0, 1)
-    )
+    spread = torch.distributed
+    rank, many = (spread.get_rank(), spread.get_world_size()) if ranks else (0, 1)
     own, workers = (worker.id, worker.num_workers) if worker else (0, 1)
     return rank + many * own, many * workers

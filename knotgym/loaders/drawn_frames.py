@@ -130,7 +130,7 @@ class DrawnFrames:
 
     def _shaped(self, found: dict[str, list[NDArray[Any]]], shown: list[Ids]) -> list[Any]:
         each = [
-            {n: parts[k].reshape(*ids.shape, *parts[k].shape[1:]) for n, parts in found.items()}
+            {n: own[k].reshape(*ids.shape, *own[k].shape[1:]) for n, own in found.items()}
             for k, ids in enumerate(shown)
         ]
         return each if self.observation == "both" else [one[self.observation] for one in each]

@@ -59,9 +59,8 @@ class Pictures:
 
     def picture(self, row: int) -> NDArray[np.uint8]:
         """Decode the picture of a row: uint8 (3, size, size), RGB."""
-        image = cv2.imdecode(
-            np.frombuffer(self._png[row].as_buffer(), dtype=np.uint8), cv2.IMREAD_COLOR_RGB
-        )
+        data = np.frombuffer(self._png[row].as_buffer(), dtype=np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
         return np.ascontiguousarray(np.moveaxis(np.asarray(image, dtype=np.uint8), -1, 0))
 
     def batch(self, rows: Sequence[int] | NDArray[np.int64], **_: Any) -> dict[str, Any]:

@@ -84,9 +84,8 @@ class Symmetries(Symmetry):
         """Map codes, int16 (n, ..., SYMBOLS), as `observations.cut` gives them."""
         own = np.asarray(visits, dtype=np.int16)
         flags = np.stack([self.switch, self.reverse], axis=1).astype(np.int16)
-        flags = np.broadcast_to(
-            flags.reshape(len(own), *(1 for _ in own.shape[1:-1]), 2), (*own.shape[:-1], 2)
-        )
+        ones = [1] * (own.ndim - 2)
+        flags = np.broadcast_to(flags.reshape(len(own), *ones, 2), (*own.shape[:-1], 2))
         rows = np.concatenate([own, flags], axis=-1).reshape(-1, Observer.SYMBOLS + 2)
         # few different codes in a batch: each is mapped once
         different, at = np.unique(rows, axis=0, return_inverse=True)

@@ -95,9 +95,7 @@ class Transitions:
         """
         known = Opening.__annotations__
         if unknown := opening.keys() - known.keys():
-            raise InvalidInput(
-                f"no argument {min(unknown)!r} of loaders; there is {', '.join(known)}"
-            )
+            raise InvalidInput(f"no argument {min(unknown)!r}; there is {', '.join(known)}")
         self.dataset = columns_of(dataset)
         self._opening, self.task = opening, self.dataset.task
         self.window, self._reward = opening.get("window"), opening.get("reward")
@@ -286,9 +284,8 @@ class Transitions:
         count = np.minimum(count, self.task.horizon - 1)
         seen = Situation(visits[after], visits[goal], shown, self.task.hold, count)
         found = np.zeros(len(after) + len(lengths))
-        found[np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)] = seen.outcome(
-            self.task
-        ).rewards
+        rows = np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)
+        found[rows] = seen.outcome(self.task).rewards
         return found
 
     def _pull_rewards(self) -> NDArray[np.float64]:
@@ -443,9 +440,8 @@ class Transitions:
         wanted = np.asarray(rows, dtype=np.int64)
         segments = self._segments(wanted)
         last = self.starts[segments + 1] + segments
-        return self.window.goals.draw(
-            wanted + segments, last, len(self._states), self.window.discount, rng
-        )
+        ends, count = (wanted + segments, last), len(self._states)
+        return self.window.goals.draw(*ends, count, self.window.discount, rng)
 
     def _outcomes(
         self, rows: Ids, n_step: int, goals: Ids | None = None
@@ -524,9 +520,8 @@ class Sequences:
         self.starts: NDArray[np.int64] = rows[fits]
         if not len(self.starts):
             longest = int(episodes.episodes["length"].max(initial=-1)) + 1
-            raise InvalidInput(
-                f"no episode of {self.dataset.path} has {length} states; the longest has {longest}"
-            )
+            lacks = f"no episode of {self.dataset.path} has {length} states"
+            raise InvalidInput(f"{lacks}; the longest has {longest}")
 
     def __len__(self) -> int:
         """Return the number of stretches."""

@@ -54,10 +54,8 @@ class GoalSampling:
     def __post_init__(self) -> None:
         chances = self.p_currgoal, self.p_trajgoal, self.p_randomgoal
         if not np.isclose(sum(chances), 1):
-            raise InvalidInput(
-                "p_currgoal, p_trajgoal and p_randomgoal must be probabilities that sum to 1, got"
-                f" {chances}"
-            )
+            names = "p_currgoal, p_trajgoal and p_randomgoal"
+            raise InvalidInput(f"{names} must be probabilities that sum to 1, got {chances}")
 
     def draw(
         self,
@@ -189,9 +187,7 @@ def other_codes(codes: Integers, own: Integers, count: int, rng: np.random.Gener
     low, high = (np.searchsorted(codes[order], own, side) for side in ("left", "right"))
     left = len(codes) - (high - low)
     if (left == 0).any():
-        raise InvalidInput(
-            "negatives need a dataset with at least two Gauss codes, and this one has one"
-        )
+        raise InvalidInput("negatives need a dataset with two Gauss codes or more, got one")
     drawn = rng.integers(left[:, None], size=(len(own), count))
     # in sorted order the states with the code itself are the range [low, high), stepped over here
     return order[drawn + np.where(drawn >= low[:, None], (high - low)[:, None], 0)]

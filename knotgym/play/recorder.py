@@ -94,10 +94,8 @@ class Recorder:
         _, self._journal = self._stack.enter_context(staging)
         for key in [*self._journal]:
             number, kept = int(key.removeprefix(_KEY)), self._journal[key]
-            pulls = [
-                HandPull(int(bead), force, bool(helped))
-                for bead, force, helped in zip(*kept.values(), strict=True)
-            ]
+            rows = zip(*kept.values(), strict=True)
+            pulls = [HandPull(int(bead), force, bool(helped)) for bead, force, helped in rows]
             # it may have been stored just before the program was killed
             stored = self._seed_of(number) in self._seeds
             self.recovered += self.finish(number, [] if stored else pulls)

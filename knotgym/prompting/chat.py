@@ -101,16 +101,12 @@ class ChatConfig:
         try:
             json.dumps(self.extra, allow_nan=False)
         except ValueError:
-            raise InvalidInput(
-                "chat.extra must be JSON, which has no NaN and no infinity"
-            ) from None
+            raise InvalidInput("chat.extra must be JSON, without NaN and infinity") from None
         if own := self.extra.keys() & _OURS:
             raise InvalidInput(f"chat.extra can't set {', '.join(sorted(own))}")
         for marks in self.drafts:
             if not all(marks.partition("...")):
-                raise InvalidInput(
-                    f"marks of drafts are given as <think>...</think>, got {marks!r}"
-                )
+                raise InvalidInput(f"marks of drafts are such as <think>...</think>, got {marks!r}")
 
 
 class _Attempt(NamedTuple):

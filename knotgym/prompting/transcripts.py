@@ -82,9 +82,8 @@ class _Picture(_Request):
 
 
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-_EPISODE, _PICTURE = (
-    TypeAdapter[Any](with_config(_STRICT)(kind)) for kind in (_EpisodeLine, _Picture)
-)
+_strict = with_config(_STRICT)
+_EPISODE, _PICTURE = (TypeAdapter[Any](_strict(kind)) for kind in (_EpisodeLine, _Picture))
 
 
 def line(transcript: Mapping[str, Any]) -> str:
@@ -177,9 +176,8 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
     if "actions" not in transcripts[0]:
         return {"pictures": len(transcripts), **facts}
-    success, starts, goals = (
-        [int(one[name]) for one in transcripts] for name in ("success", "start", "goal")
-    )
+    names = ("success", "start", "goal")
+    success, starts, goals = ([int(one[name]) for one in transcripts] for name in names)
     return {
         "episodes": len(transcripts),
         "successes": sum(success),

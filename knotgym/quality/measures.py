@@ -196,9 +196,8 @@ def _regions(pixels: Array, width: float, fine: int = 3) -> Array:
     corners = np.round((pixels - low) * fine * 16).astype(np.int32)  # 4 fractional bits
     # Background is 8-connected, so that a line of one dot would leak diagonally; two dots don't.
     cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)
-    _, _, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
-        canvas, 8, cv2.CV_16U, cv2.CCL_BBDT
-    )
+    label = cv2.connectedComponentsWithStatsWithAlgorithm
+    _, _, stats, _ = label(canvas, 8, cv2.CV_16U, cv2.CCL_BBDT)
     return np.asarray(stats[1:, cv2.CC_STAT_AREA] / fine**2)
 
 

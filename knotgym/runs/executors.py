@@ -223,9 +223,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
             "several workers of the cluster died on the same work; --resume continues from there"
         ) from error
     except (distributed.comm.CommClosedError, CancelledError) as error:
-        raise Failed(
-            "the scheduler is gone; --resume continues from there, with any executor"
-        ) from error
+        raise Failed("the scheduler is gone; --resume goes on, with any executor") from error
     finally:
         client.close(timeout=2.0)
 

@@ -31,9 +31,8 @@ def wilson(successes: float, trials: float, z: float = _Z) -> tuple[float, float
     half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials))
     # With no successes the lower end is exactly 0, with no failures the upper end exactly 1;
     # rounding would miss them.
-    return max(0.0, middle - half) if successes else 0.0, (
-        min(1.0, middle + half) if successes < trials else 1.0
-    )
+    low = max(0.0, middle - half) if successes else 0.0
+    return low, min(1.0, middle + half) if successes < trials else 1.0
 
 
 def cluster_interval(success: Sequence[int], *clusters: ArrayLike) -> tuple[float, float]:

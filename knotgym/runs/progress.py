@@ -163,10 +163,6 @@ def narrow_table(
     """
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for index, column in enumerate(columns):
-        table.add_column(
-            column,
-            justify="left" if column in left else "right",
-            no_wrap=index > 0,
-            overflow="fold",
-        )
+        table.add_column(column, no_wrap=index > 0, overflow="fold")
+        table.columns[-1].justify = "left" if column in left else "right"
     return table

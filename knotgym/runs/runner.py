@@ -184,9 +184,7 @@ def run(
                 except _Missing as missing:
                     summary = f"{shard} is done as far as it can be; {missing}"
                     if journal.is_empty:
-                        summary = (
-                            f"shard {shard} has nothing to do: the run has fewer parts than shards"
-                        )
+                        summary = f"shard {shard} has nothing to do: the run has fewer parts"
             if not journal.is_held:
                 raise Occupied(f"{journal.path} was removed during the run; start the run again")
             if shard.is_whole:
@@ -199,9 +197,7 @@ def run(
         shown.say(f"{made}{text}; {seconds:.0f} s")
         if shard.is_whole:
             return out
-        shown.say(
-            "to merge, run the same command without a shard where the journals of all shards lie"
-        )
+        shown.say("to merge, run the same command without a shard where all shards' journals lie")
         return journal.path
 
 

@@ -227,10 +227,8 @@ class States:
             state of the file at the best symmetry (`near_duplicates`), None if a split is empty.
         """
         train, test = (self.rows(nx, split) for split in STATE_SPLITS)
-        known, asked = (
-            [GaussCode.parse(text) for text in self.gauss_code[rows].tolist()]
-            for rows in (train, test)
-        )
+        texts = (self.gauss_code[rows].tolist() for rows in (train, test))
+        known, asked = ([*map(GaussCode.parse, own)] for own in texts)
         diagrams = {canonical(code, Symmetry.DIAGRAM) for code in known}
         forms = [canonical(code, Symmetry.DIAGRAM) for code in asked]
         every, near = np.flatnonzero(self.split == "train"), None
@@ -324,9 +322,8 @@ def _derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[
     texts = columns.get("gauss_code_chiral", np.full(len(columns["points"]), None)).tolist()
     codes = [None if text is None else GaussCode.parse(text) for text in texts]
     ropes = [RopeAtRest(p, code=code) for p, code in zip(columns["points"], codes, strict=True)]
-    return {
-        c.name: np.array([c.derived(rope) for rope in ropes], c.numpy) for c in wanted if c.derived
-    }
+    derived = {c.name: ([c.derived(rope) for rope in ropes], c.numpy) for c in wanted if c.derived}
+    return {name: np.array(*own) for name, own in derived.items()}
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
@@ -345,9 +342,8 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     ropes, engines = [str(part.attributes.get("rope")) for part in parts], [p.engine for p in parts]
     for what, kinds in (("rope model", ropes), ("engine", engines)):
         if others := [one for one in kinds if one != kinds[0]]:
-            raise InvalidFile(
-                f"states to merge must have one {what}, got {kinds[0]} and {others[0]}"
-            )
+            kind, other = kinds[0], others[0]
+            raise InvalidFile(f"states to merge must have one {what}, got {kind} and {other}")
     names = dict.fromkeys(name for part in parts for name in part.table)
     schema = STATES.only(*names)
     tables = [_widened(part.table, schema, number) for number, part in enumerate(parts, 1)]

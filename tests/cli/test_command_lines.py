@@ -259,7 +259,7 @@ REFUSED = [
     ("generate --every-code -2", "every_code must be at least 0"),
     ("generate --source play --knot 3_1", "--knot needs --source drawing, not play"),
     ("generate --knot 9_50", "no knot '9_50'; there are 0_1, the prime knots"),
-    ("generate --knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),
+    ("generate --knot 3_1 --nx 2", "3_1 has at least 3 crossings, got nx 2"),
     ("dataset verify {absent}", "absent"),
     ("dataset page {states} --out {new}", "the output must end in .html"),
     ("dataset replay {states} --row 9999 --out {new}.gif", "there is no row 9999"),

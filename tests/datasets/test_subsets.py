@@ -245,7 +245,7 @@ def test_equal_episodes_and_other_tasks_are_not_merged(tmp_path: Path) -> None:
 
 def test_states_and_episodes_are_not_merged(states_path: str, tmp_path: Path) -> None:
     one = str(written(tmp_path / "a.h5", episodes([2])))
-    with pytest.raises(InvalidInput, match="all of states or all of trajectories"):
+    with pytest.raises(InvalidInput, match="all of states or all of episodes"):
         merge([one, states_path], tmp_path / "m.h5")
 
 

@@ -131,7 +131,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     with cluster(tmp_path) as dask, monkeypatch.context() as patch:
         dask.worker()
         patch.setattr(Journal, "__setitem__", kill_all)
-        with pytest.raises(Failed, match="the scheduler is gone; --resume continues from there"):
+        with pytest.raises(Failed, match="the scheduler is gone; --resume goes on"):
             RECIPES["toy"](tmp_path / "a", on(dask.address()))
     RECIPES["toy"](tmp_path / "a", RunOptions(workers=1, resume=True))
 

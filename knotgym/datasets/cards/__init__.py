@@ -76,11 +76,8 @@ def _one_printable_line(text: object) -> str:
 
 def citation_file(title: str) -> str:
     """Return the CITATION.cff of a dataset."""
-    return filled_template(
-        "citation.cff",
-        title=yaml_string(f"knotgym: {title}"),
-        version=json.dumps(knotgym.__version__),
-    )
+    name, version = yaml_string(f"knotgym: {title}"), json.dumps(knotgym.__version__)
+    return filled_template("citation.cff", title=name, version=version)
 
 
 def filled_template(template: str, **parts: object) -> str:
@@ -172,9 +169,8 @@ def table(head: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]
 def in_words(value: Any) -> str:
     """Format a value of a summary for reading; "" for None, "none" for one in a mapping."""
     if isinstance(value, Mapping):
-        entries = [
-            f"{name} {in_words(one) or 'none'}" for name, one in list(value.items())[:_LISTED]
-        ]
+        listed = [*value.items()][:_LISTED]
+        entries = [f"{name} {in_words(one) or 'none'}" for name, one in listed]
         more = len(value) - len(entries)
         return ", ".join(entries) + (f" and {more} more" if more else "")
     if isinstance(value, list):

@@ -66,9 +66,8 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
         file, data = opened.path, opened.path.parent
         metadata = metadata_of(opened)
         if metadata is None or file.name != FILE:  # a file by itself has no folder to copy
-            raise InvalidInput(
-                f"{dataset} is not a Minari dataset; convert it with knotgym dataset merge --id"
-            )
+            how = "convert it with knotgym dataset merge --id"
+            raise InvalidInput(f"{dataset} is not a Minari dataset; {how}")
         name, own = metadata.dataset_id, opened.episodes.episodes
         if name in sources:
             raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
@@ -99,12 +98,8 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
 
 def _card(repository: str, entries: dict[str, tuple[object, ...]]) -> str:
     rows = [tuple(map(plain, (name, *entry))) for name, entry in sorted(entries.items())]
-    return filled_template(
-        "minari_card.md",
-        repository=plain(repository),
-        first=json.dumps(rows[0][0]),
-        datasets=table(_HEAD, rows),
-    )
+    listed = {"first": json.dumps(rows[0][0]), "datasets": table(_HEAD, rows)}
+    return filled_template("minari_card.md", repository=plain(repository), **listed)
 
 
 def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:

@@ -35,10 +35,8 @@ _ALONG = {
     for at in (0.25, 0.5, 0.75, 1.0)
 }
 _KEYPOINTS = ("crossing", *(f"{strand}_{name}" for strand in ("over", "under") for name in _ALONG))
-_NO_KEYPOINTS = {
-    "keypoints": [0] * (3 * len(_KEYPOINTS)),
-    "num_keypoints": 0,
-}  # scoring asks for them
+# scoring asks for them
+_NO_KEYPOINTS = {"keypoints": [0] * (3 * len(_KEYPOINTS)), "num_keypoints": 0}
 _CATEGORIES = [
     {"id": 1, "name": "rope"},
     {"id": 2, "name": "strand", "supercategory": "rope"},

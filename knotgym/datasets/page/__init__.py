@@ -156,10 +156,8 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     taken = table.take(rows)
     columns = {name: taken[name].to_pylist() for name in _SHOWN}
     measured = taken["quality"].to_pylist()
-    quality = {
-        name: (Quality.UNITS.get(name, ""), [one[name] for one in measured])
-        for name in (measured or [{}])[0]
-    }
+    names = (measured or [{}])[0]
+    quality = {n: (Quality.UNITS.get(n, ""), [one[n] for one in measured]) for n in names}
     found = _shapes(rows, {**columns, "points": points_of(taken)}, quality)
     for shown, row in zip(
         found["states"], taken.select(["grade", "image", *labels]).to_pylist(), strict=True

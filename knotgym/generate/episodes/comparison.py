@@ -75,10 +75,8 @@ def difference(one: Score, base: Score, paired: bool = True) -> tuple[Difference
     """
     sides = [(own.result.outcomes["success"], own.result.outcomes) for own in (one, base)]
     n = min(len(success) for success, _ in sides)
-    same = one.seed == base.seed and all(
-        one.result.outcomes[side][:n] == base.result.outcomes[side][:n]
-        for side in ("start", "goal")
-    )
+    drawn = [[own[side][:n] for side in ("start", "goal")] for _, own in sides]
+    same = one.seed == base.seed and drawn[0] == drawn[1]
     if paired and same:
         gained = np.subtract(sides[0][0][:n], sides[1][0][:n])
         clusters = [base.result.outcomes[side][:n] for side in ("start", "goal")]

@@ -176,16 +176,8 @@ def evaluate(
             prepare(progress, pool)
             compute(_recipe(None), pool=pool, progress=progress, count=_reached)
     else:
-        run_recipe(
-            _recipe,
-            out,
-            made_by,
-            options,
-            progress,
-            is_folder=False,
-            prepare=prepare,
-            count=_reached,
-        )
+        make = partial(run_recipe, is_folder=False, prepare=prepare, count=_reached)
+        make(_recipe, out, made_by, options, progress)
         if not options.shard.is_whole:
             return []
         if not results:  # it was finished already

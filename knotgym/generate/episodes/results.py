@@ -119,9 +119,8 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
         content = read_json(path)
         yield content, [from_json(Result, one) for one in content["results"]]
     except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
-        raise InvalidFile(
-            f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
-        ) from error
+        what = f"{path} isn't a file of `knotgym evaluate --out`"
+        raise InvalidFile(f"{what}: {one_line(error)}") from error
 
 
 def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:

@@ -96,9 +96,8 @@ def _recorded(config: SuiteConfig, known: Mapping[str, Recording]) -> list[Colle
         if one.dataset_id in known or (one.policy.policy == "random" and one.task in setups)
     ]
     if not wanted:
-        raise InvalidFile(
-            f"nothing of this is recorded; there is {', '.join(known) or 'no recording'}"
-        )
+        there = ", ".join(known) or "no recording"
+        raise InvalidFile(f"nothing of this is recorded; there is {there}")
     return wanted
 
 
@@ -144,9 +143,8 @@ def _describe_set(made: Path) -> dict[str, Any]:
         config, versions = run_facts(made)["config"], run_facts(made)["versions"]
         policy, seed = config["policy"]["policy"], config["seed"]
     except (KnotgymError, KeyError, TypeError) as error:
-        raise InvalidInput(
-            f"{made} is none of the suite's sets ({one_line(error)}); remove it"
-        ) from error
+        what = f"{made} is none of the suite's sets"
+        raise InvalidInput(f"{what} ({one_line(error)}); remove it") from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
     digests, agreement = dataset.digests, "no"
     if recording := Recording.read_all().get(dataset.name):
@@ -156,10 +154,10 @@ def _describe_set(made: Path) -> dict[str, Any]:
         stored = dataset.attributes.get("expansion")
         if first is None and stored not in (None, digests.get("expansion")):
             agreement = "differs from its own digest: knotgym dataset verify says where"
-        elif first is None and expanded(
-            drawn := dataset.drawn(_DRAWN), replay
-        ).episodes.differences(drawn.episodes):
-            agreement = "differs when played again: knotgym dataset verify says where"
+        elif first is None:
+            drawn = dataset.drawn(_DRAWN)
+            if expanded(drawn, replay).episodes.differences(drawn.episodes):
+                agreement = "differs when played again: knotgym dataset verify says where"
     files = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
         **{name: getattr(task, name) for name in ("task", "nx", "split", "endless", "engine")},

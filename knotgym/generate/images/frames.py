@@ -132,14 +132,10 @@ def _observed(
     task = TaskConfig(task="unknot", nx=1, engine=config.engine, horizon=config.pulls, endless=True)
     schema, found = STARTS.sized(nq=start_qpos.shape[1]), {}
     for turn, policy in enumerate(config.policies):
-        own = [
-            index for index, rope in enumerate(ropes) if rope.number % len(config.policies) == turn
-        ]
-        starts = schema.empty(len(own))
+        own = [k for k, rope in enumerate(ropes) if rope.number % len(config.policies) == turn]
+        starts, stream = schema.empty(len(own)), Stream.IMAGE_WALK
         starts["start_qpos"][:] = start_qpos[own]
-        starts["seed"][:] = [
-            Stream.IMAGE_WALK.derived_seed(config.seed, ropes[index].number) for index in own
-        ]
+        starts["seed"][:] = [stream.derived_seed(config.seed, ropes[k].number) for k in own]
         played = rollouts(
             make_policy(PolicyConfig(policy=policy)),
             task,
@@ -208,11 +204,8 @@ class Chooser:
 
     def lacking(self) -> dict[Quota, int]:
         """Return (split, nx) -> missing pictures, without full quotas."""
-        return {
-            key: quota - self._have[key]
-            for key, quota in self._quota.items()
-            if quota > self._have[key]
-        }
+        lacking = {key: quota - self._have[key] for key, quota in self._quota.items()}
+        return {key: count for key, count in lacking.items() if count > 0}
 
     def consider(self, frames: Result, row: int, split: str) -> bool:
         """Choose or refuse a frame; return whether it is chosen.
@@ -243,13 +236,9 @@ class Chooser:
         self._have[key] += 1
         self._hardest[key] += is_extreme
         self._codes[split, code] += 1
-        names = ("switch", "reverse", "base_shift")
-        source = {
-            "rope": int(frames["rope"][row]),
-            "pulls": int(frames["pulls"][row]),
-            "reflect": symmetry.reflect,
-            **{name: getattr(symmetry, name) for name in names},
-        }
+        names = ("reflect", "switch", "reverse", "base_shift")
+        source: dict[str, Any] = {name: int(frames[name][row]) for name in ("rope", "pulls")}
+        source |= {name: getattr(symmetry, name) for name in names}
         tilt, heading = frames["camera"][row].tolist()
         self.chosen.append(Chosen(points, split, source, (tilt, heading)))
         return True

@@ -76,9 +76,8 @@ def make_images(
 def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> Any:
     """Return a pyarrow.Table of pictures for split train, as `ImagesConfig.pictured` describes."""
     plan, nx = _plan_of(config), config.trained
-    quota = {
-        ("train", one): count // len(nx) + (index < count % len(nx)) for index, one in enumerate(nx)
-    }
+    share, more = divmod(count, len(nx))
+    quota = {("train", one): share + (index < more) for index, one in enumerate(nx)}
     own = Stream.STREAM_PICTURES.derived_seed(seed, number)
     waves = _Waves(replace(config, seed=own), plan._replace(quota=quota))
     compute(_filled(waves))
@@ -230,10 +229,8 @@ class _Waves:
         rng = Stream.IMAGE_WAVE.generator(config.seed, self._wave)
         lacking = self.chooser.lacking()
         # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 2 pictures
-        wanted = {
-            key: int(np.ceil(1.1 * count * (self._pulled[key] + 1) / (self._gave[key] + 2)))
-            for key, count in lacking.items()
-        }
+        yields = {key: (self._pulled[key] + 1) / (self._gave[key] + 2) for key in lacking}
+        wanted = {key: int(np.ceil(1.1 * count * yields[key])) for key, count in lacking.items()}
         total = max(config.most_ropes, sum(wanted.values()))
         for key, count in wanted.items():
             few = max(1, count * config.most_ropes // total)
@@ -312,8 +309,7 @@ def _files(waves: _Waves) -> dict[str, list[PictureRow]]:
             for one in (chosen[at] for at in order[first : first + config.rows_per_file]):
                 rope = waves.ropes[one.source["rope"]]
                 policy = config.policies[rope.number % len(config.policies)]
-                source = {"policy": policy, "start": rope.start, **one.source}
-                source |= {"seed": config.seed, "row": number}
-                rows.append(PictureRow(one.points, split, source, one.camera))
+                made = {"policy": policy, "start": rope.start, "seed": config.seed, "row": number}
+                rows.append(PictureRow(one.points, split, made | one.source, one.camera))
                 number += 1
     return files

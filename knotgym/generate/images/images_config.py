@@ -78,10 +78,8 @@ class ImagesConfig:
         if not self.policies:
             raise InvalidInput("policies must name at least one policy")
         if not self.test_share + self.code_share < 1:
-            raise InvalidInput(
-                "test and code shares must be below 1 together, got"
-                f" {self.test_share} and {self.code_share}"
-            )
+            both = f"{self.test_share} and {self.code_share}"
+            raise InvalidInput(f"test and code shares must be below 1 together, got {both}")
 
     @property
     def marked(self) -> bool:

@@ -73,9 +73,8 @@ def read_curves(path: str | Path) -> list[Curve]:
         many = f"{len(found)} curves, more than {_MOST_CURVES}" if found else "no curves"
         raise InvalidInput(f"{path} holds {many}")
     one = len(found) == 1
-    return [
-        Curve(given.name if one else f"{given.name}:{name[:80]}", points) for name, points in found
-    ]
+    file = given.name
+    return [Curve(file if one else f"{file}:{name[:80]}", points) for name, points in found]
 
 
 def _array(points: ArrayLike) -> Array:

@@ -131,9 +131,8 @@ class WantedCodes:
             code = uniform_code(self._nx, self._rng)
             if shows(code, self._knot):
                 return code
-        raise InvalidInput(
-            f"none of {_RARE} random codes with {self._nx} crossings shows {self._knot}"
-        )
+        of = f"{_RARE} random codes with {self._nx} crossings"
+        raise InvalidInput(f"none of {of} shows {self._knot}")
 
 
 class _Order(NamedTuple):
@@ -269,11 +268,8 @@ def _split(
     assigned = np.full(len(codes), "test", dtype="<U5")
     # Order all states code by code, with codes and the states of each code shuffled. State i goes
     # to train where floor(i * share + 1/2) steps up: every stretch is split in the same proportion.
-    walk = [
-        index
-        for k in order
-        for index in rng.permutation([i for i, code in enumerate(plain) if code == kinds[k]])
-    ]
+    own = ([i for i, code in enumerate(plain) if code == kinds[k]] for k in order)
+    walk = [index for some in own for index in rng.permutation(some)]
     trained_by = np.floor(np.arange(len(walk) + 1) * train_share + 0.5)
     assigned[np.array(walk, dtype=np.int64)[np.diff(trained_by) > 0]] = "train"
     return assigned

@@ -171,18 +171,14 @@ class GenerateConfig:
                 dashed = name.replace("_", "-")
                 raise InvalidInput(f"--{dashed} needs --source drawing, not {self.source}")
         if max(self.nx) > LISTED_NX:
-            raise InvalidInput(
-                f"source {self.source} takes nx up to {LISTED_NX}, got {max(self.nx)}"
-            )
+            raise InvalidInput(f"{self.source} takes nx up to {LISTED_NX}, got {max(self.nx)}")
 
     def _require_knot(self) -> None:
         """Require crossing numbers and codes that the knot can show, and that can be reached."""
         least = diagram_of(self.knot).nx
         for nx in self.nx:
             if nx < least:
-                raise InvalidInput(
-                    f"no diagram of {self.knot} has {nx} crossings; it has at least {least}"
-                )
+                raise InvalidInput(f"{self.knot} has at least {least} crossings, got nx {nx}")
             if self.demonstrations and nx > max(LISTED_NX, least):
                 raise InvalidInput(
                     f"demonstrations are limited to {LISTED_NX} crossings, got nx {nx};"
@@ -217,22 +213,18 @@ class GenerateConfig:
         if self.source != "auto":
             return [(self.source, self.nx)]
         special = any(getattr(self, name) != value for name, value in _OF_ROPES.items())
-        played = tuple(
-            nx
-            for nx in self.nx
-            if not special and nx <= LISTED_NX and self.count > _DRAWN * len(codes_of(UNKNOT, nx))
-        )
-        drawn = tuple(nx for nx in self.nx if nx not in played)
-        return [(name, nx) for name, nx in (("play", played), ("drawing", drawn)) if nx]
+        few = [nx for nx in self.nx if nx <= LISTED_NX and not special]
+        played = [nx for nx in few if self.count > _DRAWN * len(codes_of(UNKNOT, nx))]
+        drawn = [nx for nx in self.nx if nx not in played]
+        return [(name, tuple(nx)) for name, nx in (("play", played), ("drawing", drawn)) if nx]
 
     @property
     def parts(self) -> list[GenerateConfig]:
         """The configuration of each source; itself, unless the source is auto."""
         if self.source != "auto":
             return [self]
-        return [
-            replace(self, source=name, nx=nx, engine=self.engine_used) for name, nx in self._sources
-        ]
+        engine = self.engine_used
+        return [replace(self, source=name, nx=nx, engine=engine) for name, nx in self._sources]
 
     @property
     def parsed(self) -> list[GaussCode]:

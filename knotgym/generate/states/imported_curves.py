@@ -111,16 +111,8 @@ def _laid(curve: Array, number: int, simulation: Simulation) -> dict[str, Any]:
         points, qpos = simulation.points[0].copy(), simulation.qpos(_ONE)[0]
         judgement = judge(points, [limits], code=code)
         if not judgement.faults:
-            return row_of(
-                judgement,
-                points,
-                qpos,
-                start_qpos=start,
-                actions=rest,
-                steps=_REST,
-                seed=np.array(stream),
-                policy="import",
-            )
+            made = {"start_qpos": start, "actions": rest, "steps": _REST, "seed": np.array(stream)}
+            return row_of(judgement, points, qpos, **made, policy="import")
         why = ", ".join(_missed(fault, judgement.quality, limits) for fault in judgement.faults)
     raise InvalidInput(f"refused, relaxed and flattened too: {why}")
 

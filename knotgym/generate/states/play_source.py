@@ -131,9 +131,8 @@ def _pulled_ropes(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...
     rope = Rope()
     start = np.repeat(rope.qpos(PhasedPulls.coil(rope))[None], len(keys), axis=0)
     if config.settle:
-        walk = PlayConfig(
-            settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
-        )
+        usual = {"settle": 0, "opening": 0, "rounds": 0, "every": 1}
+        walk = PlayConfig(random=config.settle, first=config.settle, **usual)
         for frame in PhasedPulls(walk, keys, start.copy()).play(engine).frames:
             start[frame.rope] = frame.qpos  # a rope that was lost on the way stays a coil
     return PhasedPulls(config, keys, start).play(engine)
@@ -178,9 +177,8 @@ class _PhasePlayer(Player):
         some = ids[recorded]
         # in float64, or the actions would round otherwise than the pulls
         newtons = forces[recorded].astype(np.float64) * self._simulation.max_force
-        self._policy.actions[self._batch.number[some], steps[recorded]] = self._simulation.actions(
-            beads[recorded], newtons, some
-        )
+        made = self._simulation.actions(beads[recorded], newtons, some)
+        self._policy.actions[self._batch.number[some], steps[recorded]] = made
         return Pulls(ids, beads, forces)
 
     def _see(self, ids: Ids, steps: NDArray[np.int64]) -> None:
