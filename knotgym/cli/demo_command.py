@@ -30,11 +30,8 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
 
     require_output(out, folder=True, overwrite=overwrite, reads=[])
     compile_first(progress, plan=compile_planning)
-    config = CollectConfig(
-        task=TaskConfig(task="tie", nx=3, split="test", observation="both"),
-        policy=PolicyConfig(policy="expert"),
-        episodes=2,
-    )
+    task = TaskConfig(task="tie", nx=3, split="test", observation="both")
+    config = CollectConfig(task=task, policy=PolicyConfig(policy="expert"), episodes=2)
     film_name = "expert.mp4" if importlib.util.find_spec("av") else "expert.gif"
     with atomic_write(out, overwrite=overwrite) as folder:
         folder.mkdir()

@@ -102,12 +102,9 @@ class _Field(NamedTuple):
             show_default=as_typed(self.default) or False,
         )
         kind = bool if self.kind is bool else str
-        return inspect.Parameter(
-            self.path.replace(".", "__"),
-            inspect.Parameter.KEYWORD_ONLY,
-            default=None,
-            annotation=Annotated[kind | None, info],
-        )
+        name, hint = self.path.replace(".", "__"), Annotated[kind | None, info]
+        how = inspect.Parameter.KEYWORD_ONLY
+        return inspect.Parameter(name, how, default=None, annotation=hint)
 
 
 def command(

@@ -201,15 +201,8 @@ def merge(
     kept = datasets[0].facts
     facts = kept if len(datasets) == 1 else {k: v for k, v in kept.items() if k == STATES_DIGEST}
     if dataset_id:
-        made = publish(
-            parts,
-            task,
-            _metadata(datasets, dataset_id),
-            out,
-            states=_states(datasets[0]),
-            facts=facts,
-            overwrite=overwrite,
-        )
+        about, carried = _metadata(datasets, dataset_id), _states(datasets[0])
+        made = publish(parts, task, about, out, states=carried, facts=facts, overwrite=overwrite)
     elif out:
         made = out
         with atomic_write(out, overwrite=overwrite) as temporary:

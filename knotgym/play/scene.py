@@ -97,11 +97,8 @@ class RopeScene:
             for number, row in enumerate(np.argsort(first), start=1):
                 sign = "+" if found.over_place[row] < found.under_place[row] else "-"
                 place = SCALE * _at(points, float(found.over_place[row]))
-                self._marks.append(
-                    self._client.scene.add_label(
-                        f"/crossings/{number}", f"{number}{sign}", position=place + [0, 0, 0.15]
-                    )
-                )
+                add, at = self._client.scene.add_label, place + [0, 0, 0.15]
+                self._marks.append(add(f"/crossings/{number}", f"{number}{sign}", position=at))
 
     def select(self, points: Array, bead: int) -> None:
         """Mark the bead that keys pull."""

@@ -163,12 +163,9 @@ def run(
             sweep(_staging_folder(out))
             shown.say(f"{out} is finished already")
             return out
+        replaces = options.overwrite or not shard.is_whole
         free = partial(
-            require_output,
-            out,
-            folder=is_folder,
-            overwrite=options.overwrite or not shard.is_whole,
-            reads=identity.reads,
+            require_output, out, folder=is_folder, overwrite=replaces, reads=identity.reads
         )
         free()
         with staged(out, identity, options, shard) as (folder, journal):

@@ -150,11 +150,8 @@ def pairs_within(
         for start in range(0, len(some), _BLOCK):
             i, j = rows[some[start : start + _BLOCK]], columns[start : start + _BLOCK]
             apart = a.take(i).pair_distances(b.take(j))
-            found += [
-                (int(row), int(other), float(distance))
-                for row, other, distance in zip(i, j, apart, strict=True)
-                if distance < limit
-            ]
+            rows_of = zip(i.tolist(), j.tolist(), apart.tolist(), strict=True)
+            found += [one for one in rows_of if one[2] < limit]
     return found
 
 

@@ -125,11 +125,8 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
     rows = _sampled(len(states), MOST_STATES)
     _notice(notices, rows, len(states), "states")
     own = states.take(rows)
-    measures = {
-        name: own.measures[name]
-        for name, (_, one) in states.measures.items()
-        if np.isfinite(one).any()
-    }
+    known = {name for name, (_, one) in states.measures.items() if np.isfinite(one).any()}
+    measures = {name: one for name, one in own.measures.items() if name in known}
     found = _shapes(rows, own.table, measures)
     made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
     for name, column in made.items() if "dataset" in own.source else ():

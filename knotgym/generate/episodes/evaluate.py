@@ -79,10 +79,10 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
         for setup, (one, own) in enumerate(zip(setups, numbers, strict=True), 1)
         for few in own
     ]
+    numbered = enumerate(setups, 1) if filmed else ()
     films = [
         Call(f"film {setup}", _play, (*one, range(filmed), config.seed, True), filmed)
-        for setup, one in enumerate(setups, 1)
-        if filmed
+        for setup, one in numbered
     ]
     parts = [Episodes.of(part) for part in (yield [*calls, *films])]
     rest = iter(parts)

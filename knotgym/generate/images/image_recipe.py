@@ -63,14 +63,9 @@ def make_images(
     plan = _Plan.of(config, read_states(path, images=False))
 
     made = identity(config, {"name": path.name, "sha256": path})
-    return run(
-        lambda place: _pictures(config, plan, made, place),
-        out,
-        made,
-        options,
-        progress,
-        prepare=partial(compile_first, engine=config.engine),
-    )
+    recipe = partial(_pictures, config, plan, made)
+    compiles = partial(compile_first, engine=config.engine)
+    return run(recipe, out, made, options, progress, prepare=compiles)
 
 
 def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> Any:

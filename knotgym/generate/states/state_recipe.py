@@ -282,14 +282,9 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
 
 def _task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:
     """Return the task of the demonstrations of states with nx crossings in a split."""
-    return TaskConfig(
-        task="tie" if nx else "unknot",
-        nx=max(1, nx),
-        split=split,
-        observation="both",
-        horizon=HORIZON,
-        engine=config.engine_used,
-    )
+    task, engine = "tie" if nx else "unknot", config.engine_used
+    setup = TaskConfig(task=task, nx=max(1, nx), split=split, engine=engine)
+    return replace(setup, observation="both", horizon=HORIZON)
 
 
 def _dataset_id(nx: int, split: str, knot: str) -> str:
