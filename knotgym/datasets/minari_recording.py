@@ -10,6 +10,7 @@ that episodes can be loaded, but not played again. Nothing that the metadata nam
 
 import json
 from collections.abc import Mapping
+from dataclasses import fields
 from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
     try:
         metadata = read_json(path.with_name("metadata.json"))
         spec = json.loads(metadata["env_spec"])
-        known = {*TaskConfig.__dataclass_fields__}
+        known = {one.name for one in fields(TaskConfig)}
         keywords = {name: value for name, value in spec["kwargs"].items() if name in known}
         if not spec["id"].startswith("knotgym/"):
             raise InvalidFile(f"it was recorded in {spec['id']}, no environment of knotgym")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -157,7 +157,7 @@ class TaskConfig:
         if self.rope is not None:
             from knotgym.rope import RopeConfig
 
-            known = sorted(RopeConfig.__dataclass_fields__.keys() - _NOT_OF_ROPE)
+            known = sorted({one.name for one in fields(RopeConfig)} - _NOT_OF_ROPE)
             if unknown := sorted(self.rope.keys() - known):
                 raise InvalidInput(
                     f"rope may set {', '.join(known)}; got {', '.join(map(repr, unknown))}"
@@ -197,7 +197,7 @@ class TaskConfig:
             UnknownKeyword: a keyword is unknown.
             InvalidInput: a value is invalid.
         """
-        known = cls.__dataclass_fields__
+        known = [one.name for one in fields(cls)]
         unknown = [name for name in settings if name not in known]
         if unknown:
             raise UnknownKeyword(
