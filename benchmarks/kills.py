@@ -7,8 +7,8 @@ moment (SIGKILL) of the time that took, or every second time of that in which it
 again, with --resume where the command has it, until it was killed so often; one that is done before
 its kill is begun again elsewhere, every second time over an older output, with --overwrite. After a
 kill each output is absent, the older one or the right one, whole; sources never change; a finished
-run has the right bytes. Recipes are also run by 2 and 7 workers, and as three shards that are
-merged. Kinds that --out already tells aren't run again.
+run has the right bytes. With --ways recipes are also run by 2 and 7 workers, and as three shards
+that are merged. Kinds that --out already tells aren't run again.
 
 `play` pulls as a browser's tab does: every pull that was noted must be in its one episode.
 """
@@ -20,6 +20,8 @@ import math
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
@@ -104,19 +106,27 @@ def run_kind(name: str, kills: int, typed: Callable[..., list[str]], rooms: Path
         finished, since = finished + 1, 0
     if made(rooms.parent / "sources") != given:
         faults.append("a source was changed")
+    left = Counter(path.name.split("-")[0] for path in rooms.rglob(".*"))
+    told = {"kills": killed, "finished": finished, "hidden": dict(left)}
+    return {**told, "took": round(right.took, 2), "faults": faults}
+
+
+def run_ways(name: str, typed: Callable[..., list[str]], rooms: Path) -> list[str]:
+    """Run a kind by several workers and in shards; what went wrong."""
+    kind, faults, one = KINDS[name], list[str](), ["--workers", "1"]
+    right = made(rooms / "right")
     ways = [[["--workers", count]] for count in ("2", "7") if kind.has_workers]
     shards = [[*one, "--resume", "--set", f"run.shard={number}/3"] for number in (2, 1, 3)]
     ways += [[*4 * shards, one]] * kind.has_shards  # four times: what needs the others' results
     for number, way in enumerate(ways):
         room = rooms / f"way{number}"
         room.mkdir()
-        for more in way:
-            found = run([*typed(name, 0, room / "a"), *more], room).files
-        found = {file: own for file, own in found.items() if ".journal/" not in file}
-        faults += [f"{way[0]}: other bytes"] * (found != right.files)
-    left = Counter(path.name.split("-")[0] for path in rooms.rglob(".*"))
-    told = {"kills": killed, "finished": finished, "ways": len(ways), "hidden": dict(left)}
-    return {**told, "took": round(right.took, 2), "faults": faults}
+        for more in way:  # a fork can't have workers of its own
+            words = [sys.executable, "-m", "knotgym", *typed(name, 0, room / "a"), *more]
+            subprocess.run(words, check=True, capture_output=True)
+        found = {file: own for file, own in made(room).items() if ".journal/" not in file}
+        faults += [f"{way[0]}: other bytes"] * (found != right)
+    return faults
 
 
 def run_play(kills: int, room: Path) -> dict[str, Any]:
@@ -145,6 +155,7 @@ def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=276, help="over all kinds")
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--ways", action="store_true", help="workers and shards, too")
     parser.add_argument("--out", type=Path, default=Path("kills.json"))
     given = parser.parse_args()
     told = json.loads(given.out.read_text()) if given.out.is_file() else {}
@@ -158,6 +169,8 @@ def main() -> None:
                 told[kind] = run_play(kills, folder / kind)
             else:
                 told[kind] = run_kind(kind, kills, typed, folder / kind)
+            if given.ways and kind != "play":
+                told[kind]["faults"] += run_ways(kind, typed, folder / kind)
             if kind == "prompt":
                 told[kind]["asked"] = len(server.requests) - asked
             print(kind, told[kind], flush=True)
