@@ -87,8 +87,9 @@ def machine() -> dict[str, str]:
     """Describe what can change the last bits of a number, and so a run's output.
 
     That is `system`, `processor`, the `instructions` that NumPy uses beyond its baseline, the
-    `blas` it was built with, and the `libc`, whose mathematics MuJoCo uses. A sum in another order
-    differs by rounding, which a long simulation amplifies to millimetres.
+    `blas` it was built with, and the `libc`, whose mathematics MuJoCo uses (on macOS the release of
+    the system). A sum in another order differs by rounding, which a long simulation amplifies to
+    millimetres.
     """
     try:
         config: Any = np.show_config(mode="dicts")
@@ -101,7 +102,7 @@ def machine() -> dict[str, str]:
         "processor": platform.machine(),
         "instructions": instructions,
         "blas": blas,
-        "libc": " ".join(platform.libc_ver()),
+        "libc": " ".join(platform.libc_ver()).strip() or platform.release(),
     }
 
 
