@@ -59,6 +59,12 @@ def _turn(a: Array, b: Array, c: Array) -> tuple[float, float]:
 
 
 @njit
+def _error(a: Array, b: Array, c: Array) -> float:
+    """Return a bound on the error of (b - a) x (c - a), as the usual formula computes it."""
+    return max(_turn(a, b, c)[1], _turn(b, c, a)[1])
+
+
+@njit
 def _certain(p: Array, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> int:
     """Label a rope in floating point; return its crossings, or -1 where an order isn't certain.
 
@@ -88,13 +94,13 @@ def _certain(p: Array, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> in
             if hits == WIDTH:
                 return -1
             upward[hits] = of_d[0] > 0
-            for side, edge, q, r, here, there in (
-                (0, i, a, b, of_a, of_b),
-                (1, j, c, d, of_c, of_d),
+            for side, edge, q, r, s, t, here, there in (
+                (0, i, a, b, c, d, of_a, of_b),
+                (1, j, c, d, a, b, of_c, of_d),
             ):
                 # here and there have opposite signs, so their difference is as exact as they are
                 wide = abs(here[0]) + abs(there[0])
-                off = 2 * (here[1] + there[1]) / wide + 4 * _HALF_ULP
+                off = 2 * (_error(s, t, q) + _error(s, t, r)) / wide + 4 * _HALF_ULP
                 row, rise = strand[2 * hits + side], r[2] - q[2]
                 row[0], row[1], row[2] = edge, abs(here[0]) / wide, off
                 row[3] = q[2] + row[1] * rise
@@ -160,9 +166,10 @@ def _code(beads: list[Point], hits: list[list[int]]) -> tuple[str, float]:
     for number, (i, j) in enumerate(hits):
         a, b, c, d = beads[i], beads[(i + 1) % len(beads)], beads[j], beads[(j + 1) % len(beads)]
         for edge, p, q, r, s in ((i, a, b, c, d), (j, c, d, a, b)):
-            (here, one), (there, other) = _turn.py_func(r, s, p), _turn.py_func(r, s, q)
+            here, there = _turn.py_func(r, s, p)[0], _turn.py_func(r, s, q)[0]
+            error = sum(_error(*(tuple(map(float, x)) for x in (r, s, t))) for t in (p, q))
             fraction, rise = here / (here - there), q[2] - p[2]
-            off = 2 * (one + other) / abs(float(here - there)) + 4 * _HALF_ULP
+            off = 2 * error / abs(float(here - there)) + 4 * _HALF_ULP
             off_z = off * abs(float(rise)) + 4 * _HALF_ULP * float(abs(p[2]) + abs(q[2]))
             strands.append((edge, fraction, p[2] + fraction * rise, number, off, off_z))
         upward.append((b[0] - a[0]) * (d[1] - c[1]) > (b[1] - a[1]) * (d[0] - c[0]))
