@@ -3,11 +3,14 @@
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from PIL import Image
 from synthetic_episodes import TINY
 
+from knotgym.common import Done
 from knotgym.datasets import merge
+from knotgym.runs import Progress
 from knotgym.states import shipped
 
 from ..small_job import knotgym
@@ -70,6 +73,46 @@ def test_pictures_pages_and_films_are_written(
         assert f"{name}: " in capfd.readouterr().out
     with Image.open(tmp_path / "a.png") as sheet:
         assert sheet.width > 128
+
+
+@pytest.mark.parametrize(
+    ("words", "stages"),
+    [
+        (("verify", ID), ("episodes played again", "codes read again", "comparing Minari's form")),
+        (("verify", STATES), ("states checked",)),
+        (
+            ("merge", *TINY.values(), "--id", "knotgym/again-v0", "--out"),
+            ("writing Minari's form",),
+        ),
+        (("export", ID, "--to", "ogbench", "--out"), ("drawing episodes",)),
+        (("export", ID, "--to", "minari", "--out"), ("copying datasets",)),
+        (("export", ID, "--to", "columns", "--out"), ("writing datasets",)),
+        (("page", ID, "--out"), ("episodes of the page",)),
+        (("page", STATES, "--out"), ("shapes of the page",)),
+        (("gallery", STATES, "--out"), ("drawing diagrams",)),
+        (("import", "curve.csv", "--out"), ("relaxing curves",)),
+    ],
+)
+def test_what_takes_long_with_much_data_counts_what_is_done(
+    words: tuple[str | Path, ...], stages: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    trefoil = [np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)]
+    np.savetxt("curve.csv", np.transpose(trefoil), delimiter=",")
+    told: dict[str, list[tuple[int, int]]] = {}
+
+    def hear(_: Progress, stage: str, done: Done = 0, total: int = 0) -> None:
+        if total:
+            told.setdefault(stage, []).append((done() if callable(done) else done, total))
+
+    monkeypatch.setattr(Progress, "stage", hear)
+    ends = {"page": "a.html", "gallery": "a.png", "import": "a.h5", "columns": "a.h5"}
+    out = [next((end for name, end in ends.items() if name in words), "out")]
+    assert knotgym("dataset", *words, *(out if "--out" in words else [])) == 0
+    for stage in stages:
+        assert all(0 <= done <= total for done, total in told[stage])
+        assert len(told[stage]) > 1 or told[stage][0][0] == 0
 
 
 def test_without_out_they_stand_beside_what_they_show(tmp_path: Path) -> None:
