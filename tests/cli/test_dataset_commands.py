@@ -94,7 +94,10 @@ def test_pictures_pages_and_films_are_written(
     ],
 )
 def test_what_takes_long_with_much_data_counts_what_is_done(
-    words: tuple[str | Path, ...], stages: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str | Path, ...],
+    stages: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     t = np.linspace(0, 2 * np.pi, 60, endpoint=False)
