@@ -46,7 +46,8 @@ class RowPolicy:
         # copied, because the model may change what it gets and return the same array again
         found = np.array(self.predict(observations.copy()))
         if found.shape[:1] != (_BLOCK,):
-            raise InvalidPolicy(f"a model must return {_BLOCK} rows for as many, got {found.shape}")
+            gave = f"{_BLOCK} gave {found.shape}"
+            raise InvalidPolicy(f"a model must return a row for each observation: {gave}")
         if self.action != "decision" or found.ndim != 3:
             return found
         if self.observation == "marked":
