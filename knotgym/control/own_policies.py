@@ -156,12 +156,12 @@ def load(config: PolicyConfig) -> Policy:
     if not callable(getattr(given, "player", None)) or inspect.isclass(given):
         return own_policy(given, name)
 
-    def compatible_task(task: TaskConfig) -> TaskConfig:
+    def _compatible_task(task: TaskConfig) -> TaskConfig:
         with user_code(name):
             found: TaskConfig = given.compatible_task(task)
         return found
 
-    return SimplePolicy(name, partial(_GuardedPlayer, name, given), compatible_task)
+    return SimplePolicy(name, partial(_GuardedPlayer, name, given), _compatible_task)
 
 
 def files(name: str) -> dict[str, Path]:

@@ -146,12 +146,12 @@ def _planned(
 ) -> PolicyFamily:
     """Return the row of a policy whose player uses the tables of passes."""
 
-    def make(config: PolicyConfig) -> Policy:
+    def _make(config: PolicyConfig) -> Policy:
         return SimplePolicy(name, partial(player, config), compatible_task)
 
     tables = (PassValues.table(split) for split in ("train", "train-code"))
     files = {path.name: path for path in tables if path.is_file()}
-    return PolicyFamily(form=name, make=make, files=lambda name: files)
+    return PolicyFamily(form=name, make=_make, files=lambda name: files)
 
 
 for _row in (

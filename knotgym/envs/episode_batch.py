@@ -338,10 +338,10 @@ class EpisodeBatch:
             return self._observed(ids)
         seen = np.empty((len(ids), 6 * self.task.beads), dtype=np.float32)
 
-        def part(rows: slice) -> None:
+        def _part(rows: slice) -> None:
             seen[rows] = self._observed(ids[rows])
 
-        self.simulation.threads.spread(part, len(ids), Threads.FEW)
+        self.simulation.threads.spread(_part, len(ids), Threads.FEW)
         return seen
 
     def _observed(self, ids: Ids) -> Any:

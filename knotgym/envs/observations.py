@@ -105,7 +105,7 @@ class Observer:
         height, size = len(picture.views) * picture.size, picture.size
         seen = np.empty((len(goal_pictures), height, 2 * size, picture.channels), dtype=np.uint8)
 
-        def part(rows: slice) -> None:
+        def _part(rows: slice) -> None:
             if any(looks):
                 seen[rows, :, :size] = self.draw_ropes(ropes[rows], looks[rows])
             else:
@@ -115,7 +115,7 @@ class Observer:
 
         if threads is None or picture.renderer == "mujoco":
             threads = Threads()
-        threads.spread(part, len(seen), most=Threads.FEW)
+        threads.spread(_part, len(seen), most=Threads.FEW)
         return seen
 
     def observe(

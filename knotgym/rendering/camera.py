@@ -65,12 +65,12 @@ CAMERAS = {
 }
 
 
-def camera_help() -> str:
+def _camera_help() -> str:
     """Return the help of a setting that names a camera."""
     return f"{', '.join(f'{name} ({one.says})' for name, one in CAMERAS.items())}."
 
 
-CameraName = Annotated[str, choice(growing=CAMERAS, help=camera_help)]
+CameraName = Annotated[str, choice(growing=CAMERAS, help=_camera_help)]
 Views = Annotated[tuple[str, ...], AfterValidator(_known)]  # in a configuration
 
 

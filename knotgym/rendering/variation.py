@@ -168,15 +168,15 @@ class Drawer:
         vary, plain = set(config.vary), Appearance()
         size = config.sides[int(rng.integers(len(config.sides)))]
 
-        def drawn(name: str, low: float, high: float, fixed: float = 0.0) -> float:
+        def _varied(name: str, low: float, high: float, fixed: float = 0.0) -> float:
             return float(rng.uniform(low, high)) if name in vary else fixed
 
-        turn = drawn("turn", -math.pi, math.pi)
-        width, zoom = self._framed(points, size, turn, drawn("width", *config.width, 1.0))
+        turn = _varied("turn", -math.pi, math.pi)
+        width, zoom = self._framed(points, size, turn, _varied("width", *config.width, 1.0))
         # a rope larger than the range allows for is shown as large as fits
         most = _largest_zoom(points, turn, width)
         low, high = config.zoom
-        zoom = drawn("zoom", min(low, most), min(high, most), zoom)
+        zoom = _varied("zoom", min(low, most), min(high, most), zoom)
         kind = self.colours
         if "colours" in vary:
             kind = ("published", "single", "gradient")[int(rng.integers(3))]
@@ -191,7 +191,7 @@ class Drawer:
             last = levels_of(dark)
         if kind == "published" or "colours" not in vary:
             first = plain.first
-        noise, blur = drawn("noise", 0, config.noise), drawn("blur", 0, config.blur)
+        noise, blur = _varied("noise", 0, config.noise), _varied("blur", 0, config.blur)
         look = self.look(name=self.name, size=size, turn=turn, zoom=zoom, width=width, noise=noise)
         look = replace(look, colours=kind, first=first, last=last, background=background)
         seed = int(rng.integers(2**62)) if noise else plain.seed

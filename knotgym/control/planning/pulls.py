@@ -318,7 +318,7 @@ class PullSearch:
         begun, shown, spent = dict[int, _Node](), dict[int, GaussCode](), 0
         trials: dict[int, Trial] = {}
 
-        def begin(slot: int) -> None:
+        def _begin(slot: int) -> None:
             """Choose a state and a macro-action."""
             at = begun[slot] = pool.choose(rng)
             move: MacroAction | Haul
@@ -330,7 +330,7 @@ class PullSearch:
             pulls, shown[slot] = max(1, min(longest, steps - at.steps)), at.code
             trials[slot] = Trial(at.state, move, pulls, goal, self.bound, watch=True)
 
-        def is_worth_keeping(slot: int, report: Report) -> bool:
+        def _is_worth_keeping(slot: int, report: Report) -> bool:
             """Tell whether a state should join the pool.
 
             States at which the code changes do, and so do the ends of macro-actions. But an end
@@ -348,14 +348,14 @@ class PullSearch:
         while spent + count <= budget and steps > 0:
             free = [slot for slot in range(count) if slot not in begun]
             for slot in free:
-                begin(slot)
+                _begin(slot)
             orders = Orders({slot: trials[slot] for slot in free}, (budget - spent) // count)
             ticks, reports = yield orders
             spent += ticks * count
             for slot, report in reports:
                 at, over = begun[slot], report.over
                 # lost: unstable, or out of bounds; nothing from there on is of use
-                if not report.lost and is_worth_keeping(slot, report):
+                if not report.lost and _is_worth_keeping(slot, report):
                     node = _Node(*report[:3], at.steps + report.pulls, at, *report[-2:])
                     if node.code.matches(goal):
                         return _plan_to(node, True, spent)
