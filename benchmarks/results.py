@@ -30,8 +30,15 @@ ENTRIES, TEXT = ROOT / "benchmarks" / "entries", ROOT / "benchmarks" / "page.md"
 SUITE = SuiteConfig.SUITE
 SETUPS = list(product(SUITE["tasks"], SUITE["nx"]))
 BENCH = ("bench", "test", True, False)
-# rows of README's table: how they begin, and the learner and the track of their entry
-SHOWN = {"| `bench`, chain | random actions ": ("random", BENCH), "| | `expert`": ("expert", BENCH)}
+# rows of README's table: how they begin, and the learner, tier and track of their entries
+SHOWN = {
+    "| `bench`, chain | random actions ": ("random", "", BENCH),
+    "| | [d3rlpy": ("d3rlpy recipe", "", BENCH),
+    "| | [DiscreteBC": ("DiscreteBC", "100k", BENCH),
+    "| | [torch": ("torch recipe", "", BENCH),
+    "| | `expert`": ("expert", "", BENCH),
+    "| `readable`, MuJoCo | random actions ": ("random", "", ("readable", "test", False, False)),
+}
 MOST = 16  # rows that are named of each cell
 NO_LEARNERS = ("random", "scripted", "expert")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#999999")
@@ -307,16 +314,15 @@ def page(rows: Sequence[Row]) -> str:
 
 def readme(text: str, rows: Sequence[Row]) -> str:
     """README with the rates of the rows that have entries."""
-    for begins, (learner, track) in SHOWN.items():
-        rates = {
-            (row.result.task, row.result.nx): f"{100 * row.result.success_rate:.1f}".replace(
-                "100.0", "100"
-            )
-            for row in rows
-            if row.learner == learner and row.track == track
-        }
-        if not rates:
+    for begins, wanted in SHOWN.items():
+        found: dict[tuple[str, int], list[float]] = {}
+        for row in rows:
+            if (row.learner, row.tier, row.track) == wanted:
+                own = found.setdefault((row.result.task, row.result.nx), [])
+                own.append(100 * row.result.success_rate)
+        if not found:
             continue
+        rates = {setup: f"{np.mean(own):.1f}".replace("100.0", "100") for setup, own in found.items()}
         cells = [
             ", ".join(rates.get((task, nx), "-") for nx in SUITE["nx"]) for task in SUITE["tasks"]
         ]
