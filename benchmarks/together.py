@@ -37,7 +37,7 @@ def begin(words: list[str], several: int) -> tuple[Counter[str], list[str]]:
         for end in ends
         if end.status not in (0, 2)
         or "Traceback" in end.said
-        or (end.status == 2 and end.said.count("\n") != 1)
+        or (end.status == 2 and end.said.count("knotgym: ") != 1)
     ]
     counts = Counter(f"status {end.status}" for end in ends)
     return counts, faults + ["none ended with 0"] * (not counts["status 0"])

@@ -155,14 +155,15 @@ def try_files(paths: Iterable[Path], pool: Executor) -> None:
     """Read files completely in a process of a pool; skip those that aren't HDF5.
 
     Raises:
-        InvalidFile: a file makes the library crash or hang.
+        InvalidFile: a file makes the library crash or hang, or it can't read a column.
     """
     for path in paths:
         if not path.is_file() or not h5py.is_hdf5(path):
             continue
         limit = _LIMIT + path.stat().st_size / _SLOWEST
         try:
-            pool.submit(_read_whole, path).result(limit)
+            if unread := pool.submit(_read_whole, path).result(limit):
+                raise InvalidFile(f"{path} isn't whole: the HDF5 library can't read {unread}")
         except BrokenExecutor as error:
             raise InvalidFile(f"{path} makes the HDF5 library crash; don't open it") from error
         except TimeoutError:
@@ -170,8 +171,12 @@ def try_files(paths: Iterable[Path], pool: Executor) -> None:
             raise InvalidFile(f"{path} {what}; don't open it") from None
 
 
-def _read_whole(path: Path) -> None:
-    """Read everything stored in a file but its links; ignore errors that Python can catch."""
+def _read_whole(path: Path) -> str:
+    """Read everything stored in a file but its links; return the first column that can't be.
+
+    Our own readers map columns, and so read some whose description is damaged.
+    """
+    unread: list[str] = []
 
     def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
         try:
@@ -180,7 +185,9 @@ def _read_whole(path: Path) -> None:
                 require_stored_here(item, name)
                 for part in item.iter_chunks() if item.chunks else ((),):
                     item[part]
-        except Exception:  # the file's reader reports these; only a crash matters here
+        except OSError as error:
+            unread.append(f"{name}: {error}")
+        except Exception:  # the file's reader reports these
             return
 
     try:
@@ -188,4 +195,5 @@ def _read_whole(path: Path) -> None:
             dict(file.attrs)
             file.visititems(look)
     except Exception:  # as above
-        return
+        pass
+    return unread[0] if unread else ""
