@@ -322,7 +322,7 @@ def readme(text: str, rows: Sequence[Row]) -> str:
                 own.append(100 * row.result.success_rate)
         if not found:
             continue
-        rates = {setup: f"{np.mean(own):.1f}".replace("100.0", "100") for setup, own in found.items()}
+        rates = {cell: f"{np.mean(own):.1f}".replace("100.0", "100") for cell, own in found.items()}
         cells = [
             ", ".join(rates.get((task, nx), "-") for nx in SUITE["nx"]) for task in SUITE["tasks"]
         ]
