@@ -7,6 +7,7 @@ cell of the suite; the stream plays what that of the last one says. Writes a pol
 ROOM and prints its success rate on new states, and the CPU seconds of training.
 """
 
+import argparse
 import subprocess
 import sys
 import time
@@ -15,9 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
-from torch.nn.functional import cross_entropy
 
 from knotgym.common import from_json
 from knotgym.datasets import open_episodes
@@ -35,24 +33,30 @@ act = as_policy(torch.jit.load(__file__[:-3] + ".pt"))
 """
 
 
-class Attention(nn.Module):
+def attention() -> Any:
     """Attention over patches of ten beads and the codes; a score of each bead, and the pulls."""
+    import torch  # here, as --help needs none
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.patch, self.codes = nn.Linear(50, WIDTH), nn.Linear(96, WIDTH)
-        self.place = nn.Parameter(0.1 * torch.randn(PATCHES, WIDTH))
-        layer = nn.TransformerEncoderLayer(WIDTH, 4, 3 * WIDTH, 0.1, "relu", batch_first=True)
-        self.body = nn.TransformerEncoder(layer, 2, enable_nested_tensor=False)
-        self.beads, self.pulls = nn.Linear(WIDTH, 10), nn.Linear(WIDTH, 10 * PULLS)
+    class Attention(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.patch, self.codes = torch.nn.Linear(50, WIDTH), torch.nn.Linear(96, WIDTH)
+            self.place = torch.nn.Parameter(0.1 * torch.randn(PATCHES, WIDTH))
+            layer = torch.nn.TransformerEncoderLayer(
+                WIDTH, 4, 3 * WIDTH, 0.1, "relu", batch_first=True
+            )
+            self.body = torch.nn.TransformerEncoder(layer, 2, enable_nested_tensor=False)
+            self.beads, self.pulls = torch.nn.Linear(WIDTH, 10), torch.nn.Linear(WIDTH, 10 * PULLS)
 
-    def forward(self, seen: Tensor) -> Tensor:
-        points, marks, codes, _ = seen.split([300, 200, 96, 13], 1)
-        beads = torch.cat([6 * points.reshape(-1, 100, 3), marks.reshape(-1, 100, 2)], 2)
-        patches = self.patch(beads.reshape(-1, PATCHES, 50)) + self.place
-        tokens = self.body(torch.cat([self.codes(codes / 6)[:, None], patches], 1))[:, 1:]
-        scores = self.beads(tokens).reshape(-1, 100, 1)
-        return torch.cat([scores, self.pulls(tokens).reshape(-1, 100, PULLS)], 2)
+        def forward(self, seen: Any) -> Any:
+            points, marks, codes, _ = seen.split([300, 200, 96, 13], 1)
+            beads = torch.cat([6 * points.reshape(-1, 100, 3), marks.reshape(-1, 100, 2)], 2)
+            patches = self.patch(beads.reshape(-1, PATCHES, 50)) + self.place
+            tokens = self.body(torch.cat([self.codes(codes / 6)[:, None], patches], 1))[:, 1:]
+            scores = self.beads(tokens).reshape(-1, 100, 1)
+            return torch.cat([scores, self.pulls(tokens).reshape(-1, 100, PULLS)], 2)
+
+    return Attention()
 
 
 def rows_of(path: Path, seed: int = 0) -> Iterator[dict[str, Any]]:
@@ -63,9 +67,12 @@ def rows_of(path: Path, seed: int = 0) -> Iterator[dict[str, Any]]:
         yield {name: column[drawn] for name, column in rows.items()}
 
 
-def trained(batches: Iterator[dict[str, Any]]) -> Attention:
+def trained(batches: Iterator[dict[str, Any]]) -> Any:
+    import torch
+    from torch.nn.functional import cross_entropy
+
     torch.manual_seed(0)
-    network = Attention()
+    network = attention()
     optimizer = torch.optim.AdamW(network.parameters(), 1e-3, weight_decay=0.02)
     rate = torch.optim.lr_scheduler.OneCycleLR(optimizer, 1e-3, UPDATES)
     for batch, _ in zip(batches, range(UPDATES), strict=False):
@@ -81,7 +88,15 @@ def trained(batches: Iterator[dict[str, Any]]) -> Attention:
 
 
 def main() -> None:
-    room, *sets = map(Path, sys.argv[1:])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("room", type=Path)
+    parser.add_argument("sets", type=Path, nargs="+")
+    given = parser.parse_args()
+    import torch
+
+    room, sets = given.room, given.sets
     torch.set_num_threads(1)
     torch.backends.mha.set_fastpath_enabled(False)  # it can't be traced
     config: Any = from_json(CollectConfig, open_episodes(sets[-1]).attributes["run"]["config"])

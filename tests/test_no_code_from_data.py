@@ -14,6 +14,7 @@ IMPORTS = {
     "common/errors.py": "optional libraries, names in the code",
     "control/own_policies.py": "module:name, which the user types; never from a file",
     "control/policies.py": "modules of its room, names in the code",
+    "control/policy_config.py": "the table of policies of its room, named in the code",
     "datasets/exports/__init__.py": "functions of its table, named in the code",
     "generate/images/images_config.py": "its recipe, named in the code",
     "prompting/chat.py": "the HTTP library of the client that is installed",

@@ -95,6 +95,7 @@ def test_items_count_as_they_end_before_their_call_returns(
     workers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
+    monkeypatch.syspath_prepend(Path(__file__).parents[2])  # workers import this module
     written = io.StringIO()
 
     def recipe() -> Recipe[None]:
