@@ -37,6 +37,6 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
         mark = "" if task.split == "train" else f"-{task.split}"
         dataset = id or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
     with serve(config, progress.say, dataset, out), suppress(KeyboardInterrupt):
-        progress.__exit__()  # what is left isn't progress, of which it would tell for ever
+        progress.end()  # what is left isn't progress, of which it would tell for ever
         while True:
             time.sleep(3600)

@@ -79,9 +79,14 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._bars.stop()
-        Counts.listeners.remove(self.stage)
+        self.end()
+
+    def end(self) -> None:
+        """Show nothing of stages any more; a second call does nothing."""
+        if not self._over.is_set():
+            self._over.set()
+            self._bars.stop()
+            Counts.listeners.remove(self.stage)
 
     def _repeat(self) -> None:
         """Keep the live line true, or print the stage when nothing was printed for ten seconds."""

@@ -117,6 +117,13 @@ def test_what_is_counted_anywhere_is_shown_while_a_command_runs() -> None:
     assert told == ["drawing", "drawing: 0 of 2", "drawing: 2 of 2"]
 
 
+def test_a_command_may_end_its_progress_before_it_ends() -> None:
+    with Progress(quiet=True) as progress:
+        progress.end()
+        Counts.tell("drawing", 0, 2)
+    assert not Counts.listeners
+
+
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:
     assert "time left" not in shown(0, 0)
     assert "time left" not in shown(*[0] * 9, 1)  # compiling, starting workers
