@@ -16,8 +16,8 @@ class Counts:
     items that it ends, such as episodes, in a counter which those processes share.
 
     Attributes:
-        listeners: each is called with the stage, how many of its items are done, and the total;
-            the last one is told.
+        listeners: the last one is called with the stage, how many of its items are done, and the
+            total.
         ended: `value` is the number of items that ended. Worker processes have a
             `multiprocessing.Value` here.
     """

@@ -26,7 +26,7 @@ _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
 class Progress:
     """Shows the progress of a run; a context manager that removes the live line at its end.
 
-    While it is entered, it shows what `common.Counts` is told. If there is no terminal, plain lines
+    While it is entered, it shows what `common.Counts` counts. If there is no terminal, plain lines
     are printed on standard error: with `lines` from the first moment, else after ten seconds.
     Whatever takes longer than that is named every ten seconds, even if nothing is done meanwhile.
     `clock` returns seconds.
