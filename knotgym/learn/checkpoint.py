@@ -1,7 +1,7 @@
 """Folders of learners; reading one never runs code from it.
 
-policy.json             format, version, what was trained and how, checksum of the weights, and what
-                        the network returned for fixed inputs
+policy.json             format, version, what was trained and how, checksum of the weights, what the
+                        network returned for fixed inputs, and a digest of all this
 weights.safetensors     the network's weights, float16; a reader's also
                         places    float32 (n, 3), start positions of ropes, metres
 
@@ -10,6 +10,7 @@ network says by `signature` what it returns for inputs that are always the same;
 another signature stands is refused.
 """
 
+import hashlib
 import json
 from collections.abc import Callable
 from importlib.resources import files
@@ -26,7 +27,7 @@ from torch import Tensor, nn
 from knotgym.common import InvalidFile, atomic_write, one_line, read_json, require_regular, sha256
 from knotgym.learn.reader import Reader, inference
 
-FORMAT, FORMAT_VERSION = "knotgym-policy", 2
+FORMAT, FORMAT_VERSION = "knotgym-policy", 3
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
 PRETRAINED, PRETRAINED_CLONE = "pretrained", "pretrained-clone"
 ROPE_READER = "rope-reader"
@@ -93,7 +94,8 @@ def save_network(
         **card,
     }
     with atomic_write(folder / CARD) as part:
-        part.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+        shown = {**whole, "digest": _card_digest(whole)}
+        part.write_text(json.dumps(shown, indent=1) + "\n", encoding="utf-8")
 
 
 def load_network(
@@ -179,7 +181,7 @@ def read_card(folder: Path) -> dict[str, Any]:
     """Read `policy.json` of a learner's folder.
 
     Raises:
-        InvalidFile: it is missing or of another version.
+        InvalidFile: it is missing, changed, or of another version.
     """
     try:
         card = read_json(folder / CARD)
@@ -195,4 +197,12 @@ def read_card(folder: Path) -> dict[str, Any]:
             f"{folder / CARD} has format version {version!r}; this version of knotgym reads"
             f" {FORMAT_VERSION}: train again"
         )
+    if card.get("digest") != _card_digest(card):
+        raise InvalidFile(f"{folder / CARD} doesn't match its own digest: it was changed")
     return card
+
+
+def _card_digest(card: dict[str, Any]) -> str:
+    """Return the SHA-256 of a learner's card without its `digest`."""
+    fields = {name: value for name, value in card.items() if name != "digest"}
+    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

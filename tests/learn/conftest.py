@@ -1,5 +1,6 @@
 """A small dataset and learners barely trained on it. Run with -m clients; needs torch."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,15 @@ def train(data: Sequence[Path], out: Path, config: Any, *, resume: bool = False)
 
 def weights(folder: Path) -> bytes:
     return (folder / "weights.safetensors").read_bytes()
+
+
+def put_card(folder: Path, **fields: object) -> None:
+    """Change fields of a learner's card, as who can write its digest, too."""
+    from knotgym.learn.checkpoint import _card_digest
+
+    card = {**json.loads((folder / "policy.json").read_text()), **fields}
+    card["digest"] = _card_digest(card)
+    (folder / "policy.json").write_text(json.dumps(card))
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -14,7 +13,7 @@ import pytest
 from knotgym.common import sha256
 
 from .conftest import CLONE as CONFIG
-from .conftest import train
+from .conftest import put_card, train
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
@@ -22,11 +21,10 @@ pytest.importorskip("safetensors")
 
 
 def changed(learner: Path, tmp_path: Path, **card: object) -> Path:
-    """Copy a checkpoint folder and change fields of its card."""
+    """Copy a checkpoint folder and change fields of its card, and its digest."""
     copy = tmp_path / "copy"
     shutil.copytree(learner, copy)
-    written = json.loads((copy / "policy.json").read_text())
-    (copy / "policy.json").write_text(json.dumps({**written, **card}))
+    put_card(copy, **card)
     return copy
 
 
@@ -53,6 +51,12 @@ def test_cards_of_other_formats_are_refused(
     assert says in said and said.isprintable()
 
 
+def test_a_report_of_a_training_that_was_changed_is_refused(learner: Path, tmp_path: Path) -> None:
+    path = changed(learner, tmp_path) / "policy.json"
+    path.write_text(path.read_text().replace('"parameters": ', '"parameters": 1'))
+    assert "doesn't match its own digest" in refusal(path.parent)
+
+
 def test_missing_weights_and_weights_cut_short_are_refused(learner: Path, tmp_path: Path) -> None:
     assert "no learner at" in refusal(tmp_path)
     path = changed(learner, tmp_path) / "weights.safetensors"
@@ -68,9 +72,7 @@ def forged(learner: Path, tmp_path: Path, name: str, change: Callable[[Any], Any
     path = copy / "weights.safetensors"
     tensors = load_file(path)
     save_file({**tensors, name: change(tensors[name])}, path)
-    card = json.loads((copy / "policy.json").read_text())
-    card = {**card, "weights_sha256": sha256(path)}
-    (copy / "policy.json").write_text(json.dumps(card))
+    put_card(copy, weights_sha256=sha256(path))
     return copy
 
 

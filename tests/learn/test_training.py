@@ -19,7 +19,7 @@ from knotgym.datasets import Episodes
 from knotgym.states import shipped
 
 from ..small_job import staging_of
-from .conftest import CLONE, READER, TASK, published, train, weights
+from .conftest import CLONE, READER, TASK, published, put_card, train, weights
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
@@ -149,7 +149,7 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
     trained = {**setup, "tasks": ["convert"], "nx": [2, 3], "states": ["bench"]}
     other = tmp_path / "other"
     shutil.copytree(clone, other)
-    (other / "policy.json").write_text(json.dumps({**card, "trained_on": trained}))
+    put_card(other, trained_on=trained)
     words = ["evaluate", "--policy", str(other), "--episodes", "1", "--workers", "1"]
     few = ["--set", "task.horizon=2", "--out"]
 
@@ -173,7 +173,7 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
     assert (both["tasks"], both["nx"], both["task"]["states"]) == (["tie"], [2], None)
     forgeries: list[tuple[Any, int]] = [("x", 0), ({"nx": "2"}, 0), ({"nx": [[]]}, 2)]
     for forged, expected in [*forgeries, ({"states": [7]}, 2), ({"tasks": ["\x1b[2J"]}, 2)]:
-        (other / "policy.json").write_text(json.dumps({**card, "trained_on": forged}))
+        put_card(other, trained_on=forged)
         assert status("forged.json", "--overwrite") == expected, forged
         shown = "".join(capsys.readouterr())
         assert "Traceback" not in shown and "\x1b" not in shown
