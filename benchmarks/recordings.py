@@ -15,7 +15,7 @@ from rich.console import Console
 from knotgym.datasets import open_episodes
 from knotgym.generate import Recording, SuiteConfig
 
-RECORDINGS = Path(__file__).parents[1] / "knotgym/generate/episodes/data/recordings.h5"
+RECORDINGS = Path(__file__).parents[1] / "knotgym/generate/data/recordings.h5"
 
 
 def main() -> None:

@@ -359,8 +359,8 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
         "states.schema",
         "datasets.episode_dataset",
         "datasets.image_table",
-        "generate.episodes.recordings",
-        "generate.episodes.entries",
+        "generate.recordings",
+        "generate.entries",
         "control.planning.moves",
     )
     modules = [importlib.import_module(f"knotgym.{module}") for module in written]

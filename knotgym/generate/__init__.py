@@ -1,5 +1,5 @@
 """The recipes behind the commands: states, episodes, evaluations, the fixed benchmark, pictures.
-What they compute stands in the rooms below. Read `episodes/collect.py` first.
+What they compute stands in the rooms below. Read `collection.py` first.
 
 The names below are imported when they are first used.
 """

@@ -53,8 +53,8 @@ class Source(NamedTuple):
 
 
 _ROPES = "All frames of a rope are in one split."
-_PLAYED = "knotgym.generate.states.play_source:"
-_DRAWN = "knotgym.generate.states.drawing_source:"
+_PLAYED = "knotgym.generate.play_source:"
+_DRAWN = "knotgym.generate.drawing_source:"
 
 
 class _Sources(dict[str, Source]):

@@ -12,9 +12,9 @@ from knotgym.common import InvalidInput, Stream, sha256
 from knotgym.control import PolicyConfig, PullPlannerConfig, verify
 from knotgym.datasets import columns_of, merge, open_episodes, select, write_episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes import collect as collecting
-from knotgym.generate.episodes.collect import _distinct_id, blocks, collect, run_facts
-from knotgym.generate.episodes.episode_configs import CollectConfig
+from knotgym.generate import collection as collecting
+from knotgym.generate.collection import _distinct_id, blocks, collect, run_facts
+from knotgym.generate.episode_configs import CollectConfig
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions
 from knotgym.states import States, write_states

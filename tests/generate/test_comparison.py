@@ -7,7 +7,7 @@ import pytest
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, evaluate
-from knotgym.generate.episodes.comparison import difference, scores_in
+from knotgym.generate.comparison import _difference, _scores_in
 from knotgym.runs import RunOptions
 
 from ..small_job import knotgym
@@ -28,17 +28,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 def test_pairs_of_episodes_make_the_interval_narrower(made: Made) -> None:
-    first, second = scores_in(made[0])
-    together, is_paired = difference(second, first)
-    apart, is_not = difference(second, first, paired=False)
+    first, second = _scores_in(made[0])
+    together, is_paired = _difference(second, first)
+    apart, is_not = _difference(second._replace(seed=1), first)
     assert is_paired and not is_not and together.mean == pytest.approx(apart.mean)
     assert apart.low < together.low < together.mean < together.high < apart.high
 
 
 def test_an_entry_compares_as_the_results_that_were_counted(made: Made) -> None:
-    entry, counted = (scores_in(path) for path in made)
+    entry, counted = (_scores_in(path) for path in made)
     for one, other in zip(entry, counted, strict=True):
-        assert difference(one, other)[0][:3] == pytest.approx((0, -0.04, 0.04), abs=0.04)
+        assert _difference(one, other)[0][:3] == pytest.approx((0, -0.04, 0.04), abs=0.04)
         assert one.cell == other.cell and one.result.outcomes == other.result.outcomes
 
 

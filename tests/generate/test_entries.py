@@ -12,8 +12,8 @@ from knotgym.common import KnotgymError, Table, from_json, read_tables, write_ta
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry
-from knotgym.generate.episodes import entries
-from knotgym.generate.episodes.entries import Entry
+from knotgym.generate import entries
+from knotgym.generate.entries import Entry
 from knotgym.runs import RunOptions
 
 from ..small_job import knotgym

@@ -14,10 +14,10 @@ from knotgym.common import InvalidInput, InvalidPolicy, Stream, from_json, sha25
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes import evaluate as evaluating
-from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.evaluate import _report, evaluate, film
-from knotgym.generate.episodes.results import show
+from knotgym.generate import evaluation as evaluating
+from knotgym.generate.episode_configs import EvaluateConfig
+from knotgym.generate.evaluation import _report, evaluate, film
+from knotgym.generate.results import show
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions, identity
 from knotgym.states import States, write_states

@@ -28,8 +28,8 @@ from knotgym.datasets import (
     shards,
     split,
 )
-from knotgym.generate.images.image_recipe import _quotas, make_images
-from knotgym.generate.images.images_config import ImagesConfig
+from knotgym.generate.image_recipe import _quotas, make_images
+from knotgym.generate.images_config import ImagesConfig
 from knotgym.loaders import images as load
 from knotgym.quality import Limits, grade_of, measure
 from knotgym.rendering import AppearanceConfig

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidInput
 from knotgym.control import verify
 from knotgym.drawing import drawn_curve
-from knotgym.generate.states.curve_files import read_curves
-from knotgym.generate.states.imported_curves import _shown_code, import_curves
+from knotgym.generate.curve_files import read_curves
+from knotgym.generate.imported_curves import _shown_code, import_curves
 from knotgym.rope import Rope, RopeConfig
 from knotgym.states import read_states, shipped, write_states
 from knotgym.topology import knot_type, label, parse_codes, pyknotid_code, with_chirality

@@ -11,8 +11,8 @@ from knotgym.common import InvalidFile, InvalidInput, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes.episode_configs import CollectConfig
-from knotgym.generate.episodes.recordings import Recording, digests, first_difference, rebuilt
+from knotgym.generate.episode_configs import CollectConfig
+from knotgym.generate.recordings import Recording, digests, first_difference, rebuilt
 
 CONFIG = CollectConfig(
     task=TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=15),
@@ -81,7 +81,7 @@ def test_damaged_recordings_are_refused(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_ones_that_ship_are_of_the_suite() -> None:
-    from knotgym.generate.episodes.episode_configs import SuiteConfig
+    from knotgym.generate.episode_configs import SuiteConfig
 
     sets = {one.dataset_id: one for one in SuiteConfig().sets()}
     for name, one in Recording.read_all().items():

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.generate.states.drawing_source import _keep_duplicates_together, _split
+from knotgym.generate.drawing_source import _keep_duplicates_together, _split
 from knotgym.states import read_states
 from knotgym.topology import GaussCode, codes_of
 

@@ -14,12 +14,12 @@ import pytest
 from knotgym.common import Failed, InvalidInput, Stream, from_json
 from knotgym.control import dataset_faults
 from knotgym.datasets import Episodes, open_episodes
-from knotgym.generate.states import drawing_source, generate_config, state_recipe
-from knotgym.generate.states.drawing_source import WantedCodes, drawn_rows
-from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.states.play_source import PhasedPulls, _ropes_of, rows_of_ropes
-from knotgym.generate.states.state_recipe import make_states
-from knotgym.generate.states.state_rows import Selection, judge
+from knotgym.generate import drawing_source, generate_config, state_recipe
+from knotgym.generate.drawing_source import WantedCodes, drawn_rows
+from knotgym.generate.generate_config import GenerateConfig, PlayConfig
+from knotgym.generate.play_source import PhasedPulls, _ropes_of, rows_of_ropes
+from knotgym.generate.state_recipe import make_states
+from knotgym.generate.state_rows import Selection, judge
 from knotgym.quality import Limits
 from knotgym.rope import Rope
 from knotgym.runs import Result, RunOptions, compute
@@ -185,7 +185,7 @@ def test_demonstrations_end_in_the_codes_of_the_set(drawn: Path) -> None:
 def test_a_code_without_demonstration_is_named_in_the_card(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("knotgym.generate.states.state_recipe.HORIZON", 1)
+    monkeypatch.setattr("knotgym.generate.state_recipe.HORIZON", 1)
     config = replace(DRAWN, nx=(1,), count=1, every_code=0, demonstration_attempts=1)
     folder = make_states(replace(config, demonstrations=True), tmp_path / "out", ALONE)
     code = str(states_in(folder).gauss_code[0])
@@ -270,7 +270,7 @@ def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPa
     assert judge(loop, [Limits(total_curvature=0.9)]).faults == ["total_curvature"]
     assert judge(loop, [], code=GaussCode.parse("1+a,1-a")).faults == ["code lost at rest"]
     other = GaussCode.parse("1+a,1-a")
-    monkeypatch.setattr("knotgym.generate.states.state_rows.pyknotid_code", lambda _: other)
+    monkeypatch.setattr("knotgym.generate.state_rows.pyknotid_code", lambda _: other)
     assert judge(loop, []).faults == ["labellers disagree"]
 
 

@@ -14,10 +14,10 @@ import pytest
 
 from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import Episodes, open_episodes, write_episodes
-from knotgym.generate.episodes import suite as module
-from knotgym.generate.episodes.collect import run_facts
-from knotgym.generate.episodes.episode_configs import POLICIES, SPLITS, STATES, SuiteConfig
-from knotgym.generate.episodes.suite import _describe_set, make_suite
+from knotgym.generate import suite as module
+from knotgym.generate.collection import run_facts
+from knotgym.generate.episode_configs import POLICIES, SPLITS, STATES, SuiteConfig
+from knotgym.generate.suite import _describe_set, make_suite
 from knotgym.runs import RunOptions
 
 ID = "knotgym/unknot-nx2/{}-v0"

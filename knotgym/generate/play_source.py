@@ -25,8 +25,8 @@ from knotgym.common import Failed, Stream, Table
 from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy, rollouts
 from knotgym.datasets import STARTS
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.states.state_rows import (
+from knotgym.generate.generate_config import GenerateConfig, PlayConfig
+from knotgym.generate.state_rows import (
     Selection,
     joined,
     judge,

@@ -13,15 +13,15 @@ import numpy as np
 from rich.console import Console
 
 from knotgym.common import InvalidFile, InvalidInput, as_json, one_line
-from knotgym.generate.episodes.entries import read_entry, states_digests
-from knotgym.generate.episodes.results import Result, evaluation_in
+from knotgym.generate.entries import read_entry, states_digests
+from knotgym.generate.results import Result, evaluation_in
 from knotgym.runs import Difference, narrow_table
 
 _VIEWS = {"task", "nx", "split", "states", "action", "observation", "frame"}
 _WIDTH = 15  # characters of a plot
 
 
-class Score(NamedTuple):
+class _Score(NamedTuple):
     """A result and what it may be compared with.
 
     Attributes:
@@ -29,60 +29,51 @@ class Score(NamedTuple):
         cell: settings that must be the same in what it is compared with, as text.
         seed: of the evaluation.
         result: the result.
-        claimed: what an entry claims of it.
     """
 
     file: Path
     cell: str
     seed: int
     result: Result
-    claimed: dict[str, Any]
 
 
-def scores_in(path: Path) -> list[Score]:
+def _scores_in(path: Path) -> list[_Score]:
     """Return the results in an entry, which is replayed, or in a file of `evaluate --out`.
 
     Raises:
         InvalidFile: it is neither, or an entry doesn't replay.
     """
+    results = list[Result]()
     if entry := read_entry(path):
-        results = list[Result]()
         for one, faults in entry.recounted():
             if faults:
                 raise InvalidFile(f"{path}: {faults[0]}")
             results.append(one)
         config, digests = as_json(entry.config), states_digests(entry.config)
-        claimed = entry.claimed
     else:
-        with evaluation_in(path) as (content, found):
+        with evaluation_in(path) as (content, results):
             config, digests = content["config"], (content["source"] or {}).get("states", {})
-            results, claimed = found, [{} for _ in found]
             dict(config["task"], seed=config["seed"]), dict(digests)  # raise if they aren't there
     rest = {name: value for name, value in config["task"].items() if name not in _VIEWS}
     rest["states"] = sorted(digests.values())
     return [
-        Score(path, json.dumps([one.task, one.nx, one.split, rest]), config["seed"], one, own)
-        for one, own in zip(results, claimed, strict=True)
+        _Score(path, json.dumps([one.task, one.nx, one.split, rest]), config["seed"], one)
+        for one in results
     ]
 
 
-def difference(one: Score, base: Score, paired: bool = True) -> tuple[Difference, bool]:
-    """Return how much higher a success rate is than another, and whether episodes were paired.
-
-    Args:
-        one, base: two scores of one cell.
-        paired: whether to pair episodes where starts are the same.
+def _difference(one: _Score, base: _Score) -> tuple[Difference, bool]:
+    """Return how much higher a success rate is than another in its cell, and whether episodes were
+    paired: they are if both have the same seed, and so the same starts.
     """
-    sides = [(own.result.outcomes["success"], own.result.outcomes) for own in (one, base)]
+    outcomes = one.result.outcomes, base.result.outcomes
+    sides = [(own["success"], [own["start"], own["goal"]]) for own in outcomes]
     n = min(len(success) for success, _ in sides)
-    drawn = [[own[side][:n] for side in ("start", "goal")] for _, own in sides]
-    same = one.seed == base.seed and drawn[0] == drawn[1]
-    if paired and same:
-        gained = np.subtract(sides[0][0][:n], sides[1][0][:n])
-        clusters = [base.result.outcomes[side][:n] for side in ("start", "goal")]
-        return Difference.between((gained, clusters)), True
-    clustered = [(success, [own["start"], own["goal"]]) for success, own in sides]
-    return Difference.between(*clustered), False
+    drawn = [[rows[:n] for rows in clusters] for _, clusters in sides]
+    if one.seed != base.seed or drawn[0] != drawn[1]:
+        return Difference.between(*sides), False
+    gained = np.subtract(sides[0][0][:n], sides[1][0][:n])
+    return Difference.between((gained, drawn[1])), True
 
 
 def compare(paths: Sequence[Path], console: Console) -> None:
@@ -93,17 +84,17 @@ def compare(paths: Sequence[Path], console: Console) -> None:
         console: where to print.
 
     Raises:
-        InvalidFile: as `scores_in`.
+        InvalidFile: an entry doesn't replay, or a file is neither.
         InvalidInput: no two results are of one cell.
     """
-    scores, cells = [one for path in paths for one in scores_in(path)], dict[str, list[Score]]()
+    scores, cells = [one for path in paths for one in _scores_in(path)], dict[str, list[_Score]]()
     for one in scores:
         cells.setdefault(one.cell, []).append(one)
     if all(len(own) < 2 for own in cells.values()):
         raise InvalidInput("no two results are of the same task, nx, split, states and engine")
     for own in filter(lambda own: len(own) > 1, cells.values()):
         base = own[0]
-        found = [difference(one, base) for one in own[1:]]
+        found = [_difference(one, base) for one in own[1:]]
         reach = max([0.01, *(abs(end) for one, _ in found for end in one[1:3])])
         table = narrow_table(
             ("policy", "success", "difference", "better", "plot"),
@@ -126,7 +117,7 @@ def compare(paths: Sequence[Path], console: Console) -> None:
         console.print(f"{paired} of {len(found)} paired by episode", highlight=False)
 
 
-def _name(one: Score, others: Sequence[Score]) -> str:
+def _name(one: _Score, others: Sequence[_Score]) -> str:
     """Name a policy, and its file where another has a policy of that name."""
     same = [other for other in others if other.result.policy == one.result.policy]
     return one_line(one.result.policy + f", {one.file.stem}" * (len(same) > 1))

@@ -103,5 +103,5 @@ class ImagesConfig:
         What this configuration holds out for the other splits is held out.
         """
         # by its name, as it imports this module
-        block = resolve_name("knotgym.generate.images.image_recipe:picture_block")
+        block = resolve_name("knotgym.generate.image_recipe:picture_block")
         return block(self, number, count, seed)

@@ -35,11 +35,11 @@ from knotgym.common import (
 )
 from knotgym.control import replay
 from knotgym.datasets import MACROS, Episodes
-from knotgym.generate.episodes.episode_configs import CollectConfig
+from knotgym.generate.episode_configs import CollectConfig
 from knotgym.rope import FORCE_BINS, quantized
 from knotgym.runs import Result
 
-RECORDINGS = Path(str(files("knotgym.generate.episodes") / "data" / "recordings.h5"))  # that ships
+RECORDINGS = Path(str(files("knotgym.generate") / "data" / "recordings.h5"))  # that ships
 FORMAT = "knotgym-recordings"
 DIGEST = 8  # bytes of an episode's SHA-256
 EPISODES = Schema(

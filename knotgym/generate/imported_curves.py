@@ -28,8 +28,8 @@ import numba
 import numpy as np
 
 from knotgym.common import Counts, InvalidInput, Stream, inner
-from knotgym.generate.states.curve_files import Curve, read_curves
-from knotgym.generate.states.state_rows import judge, row_of, stacked, states_of
+from knotgym.generate.curve_files import Curve, read_curves
+from knotgym.generate.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import Limits, Quality
 from knotgym.rope import Array, Rope, RopeConfig, Simulation, simulation_of
 from knotgym.states import States

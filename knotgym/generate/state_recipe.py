@@ -23,9 +23,9 @@ from knotgym.common import Stream, Table, as_json
 from knotgym.control import PassPlannerConfig, PolicyConfig, compile_planning, make_policy, rollouts
 from knotgym.datasets import STARTS, Episodes, MinariMetadata, finish, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.generate.states.drawing_source import CALLS, drawn_rows, splits_of
-from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_rows import ROWS, joined, states_of
+from knotgym.generate.drawing_source import CALLS, drawn_rows, splits_of
+from knotgym.generate.generate_config import GenerateConfig
+from knotgym.generate.state_rows import ROWS, joined, states_of
 from knotgym.rope import CHAIN, MUJOCO
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compile_first, identity, run
 from knotgym.states import SOURCES, STATE_SPLITS, States, write_states

@@ -28,9 +28,9 @@ from knotgym.common import (
 from knotgym.control import PolicyConfig, compile_planning, make_policy
 from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes.episode_configs import OBSERVATION, CollectConfig, plain_id
-from knotgym.generate.episodes.recordings import RECORDINGS, rebuilt
-from knotgym.generate.episodes.results import reference_scores
+from knotgym.generate.episode_configs import OBSERVATION, CollectConfig, plain_id
+from knotgym.generate.recordings import RECORDINGS, rebuilt
+from knotgym.generate.results import reference_scores
 from knotgym.rope import CHAIN, MUJOCO
 from knotgym.runs import (
     Call,

@@ -28,10 +28,10 @@ from knotgym.common import (
 )
 from knotgym.control import replay
 from knotgym.datasets import expanded, open_episodes, suite_card
-from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
-from knotgym.generate.episodes.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
-from knotgym.generate.episodes.recordings import Recording, first_difference
-from knotgym.generate.episodes.results import reference_scores
+from knotgym.generate.collection import collect, require_collectable, run_facts
+from knotgym.generate.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
+from knotgym.generate.recordings import Recording, first_difference
+from knotgym.generate.results import reference_scores
 from knotgym.rope import ENGINES
 from knotgym.runs import Progress, RunOptions
 from knotgym.states import minari_root

@@ -1,12 +1,22 @@
 """The recipe of labelled pictures: frames of rollouts, rendered with an appearance.
 
-Ropes start in the states of a file and are pulled (`frames`), wave after wave, until every quota is
-full. Frames are chosen one by one, then measured and rendered, one file of the table at
-a time (`datasets.image_rows`). All frames of a rope are in one split.
+Ropes start in the states of a file and are pulled, wave after wave, until every quota is full.
+Frames are chosen one by one, then measured and rendered, one file of the table at a time
+(`datasets.image_rows`). All frames of a rope are in one split.
+
+The Gauss code of a frame that may become a picture is certain, and the picture shows it. A frame
+may be reflected, switched (over and under exchanged), reversed and renumbered from any bead; all of
+these are exact for a picture. So a frame with n crossings can show up to 8n codes. Each frame comes
+with a few symmetries, drawn at random, and the codes that it would show. Frames that a tilted
+camera sees, such as those for photos, are in its axes, and everything is of its view.
+
+Quotas are filled, codes balanced, and near-duplicates refused. Of the codes that a frame can show,
+the one is taken that is rarest in its split so far. The choice depends only on the frames and their
+order.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -15,12 +25,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, InvalidInput, Stream
-from knotgym.datasets import PictureRow, arrow, drawn_table, finish, parquet, shard_name
-from knotgym.generate.images.frames import Chooser, PicturedRope, Quota, frames_of
-from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.rendering import AppearanceConfig
-from knotgym.rope import RopeConfig
+from knotgym.common import Failed, InvalidInput, Stream, Table
+from knotgym.control import PolicyConfig, make_policy, rollouts
+from knotgym.datasets import (
+    STARTS,
+    STEPS,
+    PictureRow,
+    arrow,
+    drawn_table,
+    finish,
+    parquet,
+    shard_name,
+)
+from knotgym.envs import TaskConfig
+from knotgym.generate.images_config import ImagesConfig
+from knotgym.quality import base_spacing, grade_of, measure
+from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
+from knotgym.rope import Array, RopeConfig
 from knotgym.runs import (
     Call,
     Progress,
@@ -32,8 +53,25 @@ from knotgym.runs import (
     identity,
     run,
 )
-from knotgym.states import IMAGE_SPLITS, States, families, held_form, read_states, resolve_states
-from knotgym.topology import codes_of
+from knotgym.states import (
+    IMAGE_SPLITS,
+    NEAR,
+    Spectra,
+    States,
+    families,
+    held_form,
+    read_states,
+    resolve_states,
+)
+from knotgym.topology import Symmetry, codes_of, find_crossings, pyknotid_code
+
+_SYMMETRIES = 12  # drawn for each frame
+# columns of frames
+_FRAME: dict[str, Any] = {
+    **{"points": np.float64, "rope": np.int64, "pulls": np.int64, "nx": np.int64},
+    **{"ease": np.float64, "symmetries": np.int64, "codes": np.str_, "camera": np.float64},
+}
+Quota = tuple[str, int]  # split and nx
 
 
 def make_images(
@@ -209,10 +247,10 @@ class _Waves:
     """
 
     def __init__(self, config: ImagesConfig, plan: _Plan) -> None:
-        self.ropes = list[PicturedRope]()
-        self.chooser = Chooser(plan.quota, plan.held_out, config)
+        self.ropes = list[_PicturedRope]()
+        self.chooser = _Chooser(plan.quota, plan.held_out, config)
         self.config, self._plan = config, plan
-        self._quota_of = list[Quota]()  # that each rope is for
+
         # by quota: ropes that were pulled for it, and pictures that they gave
         self._pulled, self._gave = Counter[Quota](), Counter[Quota]()
         self._frames, self._dropped = 0, Counter[str]()
@@ -230,8 +268,7 @@ class _Waves:
         for key, count in wanted.items():
             few = max(1, count * config.most_ropes // total)
             for start in rng.choice(self._starts(*key), size=few).tolist():
-                self.ropes.append(PicturedRope(len(self.ropes), start, key[0]))
-                self._quota_of.append(key)
+                self.ropes.append(_PicturedRope(len(self.ropes), start, key))
             self._pulled[key] += few
         missing = {split: {nx for one, nx in lacking if one == split} for split in IMAGE_SPLITS}
         calls = []
@@ -240,7 +277,7 @@ class _Waves:
             start_qpos = self._plan.states.qpos[[rope.start for rope in group]]
             arguments = config, group, start_qpos, missing
             name = f"pulling ropes {at}-{at + len(group) - 1}"
-            calls.append(Call(name, frames_of, arguments, len(group)))
+            calls.append(Call(name, _frames_of, arguments, len(group)))
         return calls
 
     def take(self, results: list[Result]) -> None:
@@ -255,8 +292,8 @@ class _Waves:
             self._dropped.update(dict(counts))
             self._frames += len(found["rope"]) + int(found["count"].sum())
             for row, number in enumerate(found["rope"].tolist()):
-                chosen = self.chooser.consider(found, row, self.ropes[number].split)
-                self._gave[self._quota_of[number]] += chosen
+                quota = self.ropes[number].quota
+                self._gave[quota] += self.chooser.consider(found, row, quota[0])
         self._wave += 1
         self._idle = 0 if len(self.chooser.chosen) > before else self._idle + 1
         if self._idle == self.config.idle:
@@ -305,6 +342,222 @@ def _files(waves: _Waves) -> dict[str, list[PictureRow]]:
                 rope = waves.ropes[one.source["rope"]]
                 policy = config.policies[rope.number % len(config.policies)]
                 made = {"policy": policy, "start": rope.start, "seed": config.seed, "row": number}
-                rows.append(PictureRow(one.points, split, made | one.source, one.camera))
+                rows.append(one._replace(source=made | one.source))
                 number += 1
     return files
+
+
+class _PicturedRope(NamedTuple):
+    """A rope that is pulled.
+
+    Attributes:
+        number: of the rope in the run; all of its random draws follow from it.
+        start: row of the states that it starts in.
+        quota: that it is pulled for; all of its frames are of its split.
+    """
+
+    number: int
+    start: int
+    quota: Quota
+
+
+def _frames_of(
+    config: ImagesConfig,
+    ropes: Sequence[_PicturedRope],
+    start_qpos: Array,
+    wanted: dict[str, Collection[int]],
+) -> Result:
+    """Pull ropes and return the frames that may be shown.
+
+    Args:
+        config: how they are pulled, and the limits of frames.
+        ropes: the ropes.
+        start_qpos: float64 (ropes, nq), where they start.
+        wanted: split -> numbers of crossings that are still missing.
+
+    Returns:
+        m frames, by rope and pulls: `points` float64 (m, beads, 3) in metres, `rope`, `pulls` and
+        `nx` int64 (m,), `ease` float64 (m,) without the base bead (see `Quality.ease`),
+        `symmetries` int64 (m, _SYMMETRIES, 4), which are the fields reflect, switch, reverse and
+        base_shift, and `codes` str (m, _SYMMETRIES), the Gauss code that each shows, or "-" if a
+        crossing would be at the base bead. `camera` float64 (m, 2), tilt and heading, degrees.
+        `dropped` and `count`: why frames were dropped, and how many.
+    """
+    rows = list[tuple[Any, ...]]()
+    look, sight = config.appearance, (0.0, 0.0)
+    kind, drawer = APPEARANCES[look.name], Drawer.of(look.name)
+    dropped: Counter[str] = Counter()
+    for (index, pulls), points in _observed(config, ropes, start_qpos).items():
+        rope = ropes[index]
+        if kind.tilted:
+            camera = Stream.IMAGE_CAMERA.generator(config.seed, rope.number, pulls)
+            points, sight = drawer.seen(points, look, camera)
+        crossings = find_crossings(points)
+        if crossings.nx not in wanted[rope.quota[0]]:
+            dropped["crossings"] += 1
+            continue
+        # the base bead is chosen below
+        quality = replace(measure(points, crossings, quick=True), base_spacing=np.inf)
+        faults = config.limits.faults(quality, crossings.nx)
+        if not faults and pyknotid_code(points) != crossings.code:
+            faults = ["labellers disagree"]
+        if not faults and not drawer.legible(points, min(look.sides)):
+            faults = ["illegible"]
+        if faults:
+            dropped[faults[0]] += 1
+            continue
+        rng = Stream.IMAGE_CHOICE.generator(config.seed, rope.number, pulls)
+        symmetries = rng.integers((2, 2, 2, len(points)), size=(_SYMMETRIES, 4))
+        codes = [_shown(points, _symmetry_of(one), config) for one in symmetries]
+        seen = points, rope.number, pulls, crossings.nx, quality.ease()
+        rows.append((*seen, symmetries, codes, sight))
+    columns = zip(_FRAME.items(), zip(*rows, strict=True) if rows else [()] * 8, strict=True)
+    return {
+        **{name: np.array(values, kind) for (name, kind), values in columns},
+        "dropped": np.array(list(dropped), np.str_),
+        "count": np.array(list(dropped.values()), np.int64),
+    }
+
+
+def _symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
+    """Return the symmetry whose fields are reflect, switch, reverse and base_shift."""
+    *flags, base_shift = fields.tolist()
+    reflect, switch, reverse = map(bool, flags)
+    return Symmetry(reflect=reflect, switch=switch, reverse=reverse, base_shift=base_shift)
+
+
+def _observed(
+    config: ImagesConfig, ropes: Sequence[_PicturedRope], start_qpos: Array
+) -> dict[tuple[int, int], Array]:
+    """Return the points of frames by index of the rope and pulls, in that order."""
+    task = TaskConfig(task="unknot", nx=1, engine=config.engine, horizon=config.pulls, endless=True)
+    schema, found = STARTS.sized(nq=start_qpos.shape[1]), {}
+    for turn, policy in enumerate(config.policies):
+        own = [k for k, rope in enumerate(ropes) if rope.number % len(config.policies) == turn]
+        starts, stream = schema.empty(len(own)), Stream.IMAGE_WALK
+        starts["start_qpos"][:] = start_qpos[own]
+        starts["seed"][:] = [stream.derived_seed(config.seed, ropes[k].number) for k in own]
+        played = rollouts(
+            make_policy(PolicyConfig(policy=policy)),
+            task,
+            Table(schema, starts),
+            lanes=max(1, len(own)),
+            keep=STEPS.only("observation"),
+        )
+        lengths = played.episodes["length"].tolist()
+        for index, first, length in zip(own, played.offsets.tolist(), lengths, strict=False):
+            for pulls in range(config.stride, length + 1, config.stride):
+                points = played.steps["observation"][first + pulls].astype(np.float64)
+                if np.isfinite(points).all():
+                    found[index, pulls] = points
+    return dict(sorted(found.items()))
+
+
+def _shown(points: Array, symmetry: Symmetry, config: ImagesConfig) -> str:
+    """Return the code that a frame shows after a symmetry, or "-"."""
+    moved = symmetry.vertices(points)
+    crossings = find_crossings(moved)
+    least = config.limits.base_spacing or 0.0
+    return str(crossings.code) if base_spacing(moved, crossings) >= least else "-"
+
+
+class _Chooser:
+    """Fills quotas, frame by frame.
+
+    Attributes:
+        chosen: what was chosen so far. Its `source` has rope, pulls, and the symmetry that was
+            applied to the frame, and its camera is that in whose axes the points were before.
+        refused: reason -> number of refused frames.
+    """
+
+    def __init__(
+        self, quota: Mapping[Quota, int], held_out: frozenset[str], config: ImagesConfig
+    ) -> None:
+        """Begin without any frame.
+
+        Args:
+            quota: (split, nx) -> number of pictures.
+            held_out: codes, as `held_form` gives them, that only splits test-code and test-nx may
+                show.
+            config: of the pictures.
+        """
+        self.chosen, self.refused = list[PictureRow](), Counter[str]()
+        self._quota, self._held_out, self._config = quota, held_out, config
+        self._forms = dict[str, str]()  # code -> its `held_form`
+        self._have, self._hardest = Counter[Quota](), Counter[Quota]()
+        self._codes = Counter[tuple[str, str]]()
+        self._known: Spectra | None = None  # of the chosen, in arrays with room for more
+
+    def lacking(self) -> dict[Quota, int]:
+        """Return (split, nx) -> missing pictures, without full quotas."""
+        lacking = {key: quota - self._have[key] for key, quota in self._quota.items()}
+        return {key: count for key, count in lacking.items() if count > 0}
+
+    def consider(self, frames: Result, row: int, split: str) -> bool:
+        """Choose or refuse a frame; return whether it is chosen.
+
+        Args:
+            frames: as `_frames_of` returns them.
+            row: which of them.
+            split: that its rope is of.
+        """
+        key = split, int(frames["nx"][row])
+        if self._quota.get(key, 0) <= self._have[key]:
+            return self._refuse("quota full")
+        is_extreme = grade_of(float(frames["ease"][row])) == "extreme"
+        if is_extreme and self._hardest[key] >= self._config.extreme * self._quota[key]:
+            return self._refuse("extreme enough")
+        able = [
+            (self._codes[split, code], index, code)
+            for index, code in enumerate(frames["codes"][row].tolist())
+            if code != "-" and self._may_show(code, split)
+        ]
+        if not able:
+            return self._refuse("no code wanted")
+        _, index, code = min(able)
+        symmetry = _symmetry_of(frames["symmetries"][row, index])
+        points = symmetry.vertices(frames["points"][row])
+        if not self._is_new(points, split):
+            return self._refuse("near-duplicate")
+        self._have[key] += 1
+        self._hardest[key] += is_extreme
+        self._codes[split, code] += 1
+        names = ("reflect", "switch", "reverse", "base_shift")
+        source: dict[str, Any] = {name: int(frames[name][row]) for name in ("rope", "pulls")}
+        source |= {name: getattr(symmetry, name) for name in names}
+        tilt, heading = frames["camera"][row].tolist()
+        self.chosen.append(PictureRow(points, split, source, (tilt, heading)))
+        return True
+
+    def _refuse(self, reason: str) -> bool:
+        self.refused[reason] += 1
+        return False
+
+    def _may_show(self, code: str, split: str) -> bool:
+        if split == "test-nx":
+            return True
+        if code not in self._forms:
+            self._forms[code] = held_form(code, marked=self._config.marked)
+        return (self._forms[code] in self._held_out) == (split == "test-code")
+
+    def _is_new(self, points: Array, split: str) -> bool:
+        """Whether no chosen configuration is a near-duplicate; if so, remember the points.
+
+        Within a split only the same shape as it lies counts, across splits any symmetric one.
+        """
+        n, own = len(self.chosen), Spectra.of(points[None])
+        known = self._known
+        if known is None or n == len(known.square):  # full: double the room
+            room = [np.zeros((max(2048, 2 * n), *one.shape[1:]), one.dtype) for one in own]
+            for new, old in zip(room, known or (), strict=False):
+                new[:n] = old
+            known = self._known = Spectra(*room)
+        like = np.flatnonzero(np.linalg.norm(known.invariants[:n] - own.invariants, axis=1) < NEAR)
+        if (own.turned_distances(known.take(like)) < NEAR).any():
+            return False
+        others = like[[self.chosen[row].split != split for row in like.tolist()]]
+        if (own.pair_distances(known.take(others)) < NEAR).any():
+            return False
+        for column, new in zip(known, own, strict=True):
+            column[n] = new[0]
+        return True

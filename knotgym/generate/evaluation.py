@@ -23,10 +23,10 @@ from knotgym.common import InvalidInput, Occupied, Stream, atomic_write, require
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
-from knotgym.generate.episodes.collect import blocks
-from knotgym.generate.episodes.entries import write_entry
-from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.results import Result, evaluation_in, show
+from knotgym.generate.collection import blocks
+from knotgym.generate.entries import write_entry
+from knotgym.generate.episode_configs import EvaluateConfig
+from knotgym.generate.results import Result, evaluation_in, show
 from knotgym.runs import (
     Call,
     Progress,

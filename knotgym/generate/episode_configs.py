@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 OBSERVATION = "state"
 
 SUITE: dict[str, Any] = tomllib.loads(
-    (files("knotgym.generate.episodes") / "data" / "suite.toml").read_text("utf-8")
+    (files("knotgym.generate") / "data" / "suite.toml").read_text("utf-8")
 )
 POLICIES, STATES, SPLITS = (tuple(SUITE[name]) for name in ("policies", "states", "splits"))
 BENCH, SIZES = "bench", SUITE["bench"]["sizes"]

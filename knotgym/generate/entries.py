@@ -45,10 +45,10 @@ from knotgym.common import (
 from knotgym.control import replay
 from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes.collect import blocks
-from knotgym.generate.episodes.episode_configs import EvaluateConfig
-from knotgym.generate.episodes.recordings import DIGEST, digests, force_bins
-from knotgym.generate.episodes.results import Result, show
+from knotgym.generate.collection import blocks
+from knotgym.generate.episode_configs import EvaluateConfig
+from knotgym.generate.recordings import DIGEST, digests, force_bins
+from knotgym.generate.results import Result, show
 from knotgym.rope import FORCE_BINS, MUJOCO, RopeConfig, quantized
 from knotgym.runs import Progress, executor
 from knotgym.runs import Result as Kept

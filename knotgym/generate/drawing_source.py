@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from knotgym.common import Failed, InvalidInput, Stream, Table, as_json
 from knotgym.drawing import drawn_curve
-from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_rows import (
+from knotgym.generate.generate_config import GenerateConfig
+from knotgym.generate.state_rows import (
     Selection,
     judge,
     row_of,

@@ -1,1 +1,0 @@
-"""Episodes: collection and evaluation."""

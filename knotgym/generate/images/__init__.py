@@ -1,1 +1,0 @@
-"""Labelled pictures: walks, selection, tables."""

@@ -1,1 +1,0 @@
-"""Curated states: search, candidates, curation."""
