@@ -7,7 +7,7 @@ episode by episode. What makes a start hard then cancels, and the interval is na
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console

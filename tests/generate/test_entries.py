@@ -11,8 +11,7 @@ import pytest
 from knotgym.common import KnotgymError, Table, from_json, read_tables, write_tables
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry
-from knotgym.generate import entries
+from knotgym.generate import EvaluateConfig, Result, entries, evaluate, read_entry
 from knotgym.generate.entries import Entry
 from knotgym.runs import RunOptions
 
