@@ -15,7 +15,7 @@ pass.
 Edge k runs from visit k to visit k + 1 (cyclic). Dart 2 k is edge k walked forwards, dart 2 k + 1
 is edge k walked backwards.
 
-After a change run `pytest tests/topology/test_diagrams.py tests/topology/test_uniform_codes.py`,
+After a change run `pytest tests/topology/test_diagrams.py`,
 where samples are compared with the exact lists (chi-square): there are 1, 2, 8, 48, 384 and 3,616
 planar codes, and chiralities are those of a search over all patterns.
 """

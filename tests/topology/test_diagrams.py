@@ -1,9 +1,11 @@
-"""Planarity, checked against published lists; faces and summands."""
+"""Planarity, checked against published lists; faces and summands; codes drawn at random."""
 
 import json
+from collections import Counter
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +18,7 @@ from knotgym.topology.diagrams import (
     is_planar,
     planar_codes,
     summands,
+    uniform_code,
     with_chirality,
 )
 from knotgym.topology.gauss import GaussCode
@@ -53,22 +56,14 @@ def test_no_other_pattern_is_planar(code: GaussCode) -> None:
 
 @given(planar, st.integers(0, 7))
 def test_planarity_knows_no_base_direction_or_height(code: GaussCode, k: int) -> None:
-    assert is_planar(code.rebased(k)) and is_planar(code.reversed()) and is_planar(code.switched())
-    assert (
-        is_planar(with_chirality(code).rebased(k))
-        and is_planar(with_chirality(code).reversed())
-        and is_planar(with_chirality(code).switched())
-    )
+    for one in (code, with_chirality(code)):
+        assert is_planar(one.rebased(k)) and is_planar(one.reversed()) and is_planar(one.switched())
 
 
-def test_drawing_keeps_a_chirality_that_is_there() -> None:
-    assert with_chirality(TREFOIL) is TREFOIL
-    assert with_chirality(TREFOIL.plain).chirality == "aaa"
-
-
-@pytest.mark.parametrize("nx", range(5))
-def test_a_code_is_drawn_with_the_first_of_its_chiralities(nx: int) -> None:
-    assert all(with_chirality(code).chirality == chiralities(code)[0] for code in planar_codes(nx))
+@given(planar)
+def test_a_code_is_drawn_with_its_chirality_or_the_first(code: GaussCode) -> None:
+    drawn = with_chirality(code)
+    assert drawn.chirality == chiralities(code)[0] and with_chirality(drawn) is drawn
 
 
 def test_a_code_of_many_parts_is_drawn_without_listing_its_chiralities() -> None:
@@ -92,16 +87,16 @@ def test_a_code_that_no_curve_shows_is_not_planar_and_named(text: str) -> None:
     assert repr(text) in str(refusal.value)
 
 
+def test_faces_need_letters() -> None:
+    with pytest.raises(InvalidInput):
+        faces(GaussCode.parse("1+,1-"))
+
+
 @given(planar)
 def test_a_planar_code_has_two_faces_more_than_crossings(code: GaussCode) -> None:
     found = faces(with_chirality(code))
     assert len(found) == (code.nx + 2 if code.nx else 0)
     assert sorted(dart for face in found for dart in face) == list(range(4 * code.nx))
-
-
-def test_faces_need_letters() -> None:
-    with pytest.raises(InvalidInput):
-        faces(TREFOIL.plain)
 
 
 def test_summands_come_in_order_of_first_visit() -> None:
@@ -113,3 +108,25 @@ def test_summands_come_in_order_of_first_visit() -> None:
 def test_summands_share_out_the_crossings(code: GaussCode) -> None:
     assert sum(summand.nx for summand in summands(code)) == code.nx
     assert all(is_planar(summand) for summand in summands(with_chirality(code)))
+
+
+def chi_square(counts: Counter[str], kinds: int) -> float:
+    """Pearson's statistic against the uniform distribution, per degree of freedom."""
+    expected = counts.total() / kinds
+    missing = (kinds - len(counts)) * expected
+    off = sum((count - expected) ** 2 / expected for count in counts.values())
+    return (off + missing) / (kinds - 1)
+
+
+@pytest.mark.parametrize(("nx", "draws"), [(1, 100), (2, 400), (3, 2000)])
+def test_every_planar_code_is_as_likely_as_any_other(nx: int, draws: int) -> None:
+    rng = np.random.default_rng(nx)
+    counts = Counter(str(uniform_code(nx, rng)) for _ in range(draws))
+    codes = {str(code) for code in planar_codes(nx)}
+    assert set(counts) == codes
+    assert chi_square(counts, len(codes)) < 2
+
+
+def test_the_same_generator_draws_the_same_code() -> None:
+    one, other = (uniform_code(8, np.random.default_rng(3)) for _ in range(2))
+    assert one == other and one.nx == 8

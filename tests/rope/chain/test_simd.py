@@ -14,18 +14,6 @@ from knotgym.rope.chain.simd import LANES, NUMBA, any_below, fma, load, put, whe
 from ...scripts import ROOT
 
 
-@njit
-def reckoned(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
-    for i in range(len(one)):
-        x, y = load(one, (i, 1)), load(other, (i,))
-        x += 2 * y
-        x -= 1
-        x *= y / 3.0
-        if any_below(y, 0.25):
-            x = max(abs(-x), 0.5)
-        put(out, (i,), math.sqrt(abs(x - y)))
-
-
 def test_numba_is_bounded_as_in_the_package() -> None:
     (low, high), text = NUMBA, (ROOT / "pyproject.toml").read_text("utf-8")
     assert f'"numba>={low[0]}.{low[1]},<{high[0]}.{high[1]}"' in text
@@ -41,41 +29,36 @@ def test_another_numba_is_refused_in_one_line(
         exec(compile(source.partition("# Four float64 fill")[0], "simd", "exec"), {})
 
 
-def test_lanes_reckon_as_numpy_does() -> None:
+@njit
+def reckoned(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
+    for i in range(len(one)):
+        x, y = load(one, (i, 1)), load(other, (i,))
+        put(out, (i, 1), where_below(x, y, 1, -1))
+        put(out, (i, 2), min(x, y))
+        put(out, (i, 3), fma(x, y, -x * y))
+        put(out, (i, 4), 7)
+        x += 2 * y
+        x -= 1
+        x *= y / 3.0
+        if any_below(y, 0.25):
+            x = max(abs(-x), 0.5)
+        put(out, (i, 0), math.sqrt(abs(x - y)))
+
+
+def test_lanes_reckon_as_numpy_does_and_fma_rounds_once() -> None:
     rng = np.random.default_rng(0)
     one, other = rng.random((20, 2, LANES)), rng.random((20, LANES))
-    out = np.empty((20, LANES))
+    one[0, 1, 0], other[0, 0] = 1 / 3, 3.0
+    one[1, 1, 1] = np.nan  # in a comparison of its own lane alone
+    out = np.empty((20, 5, LANES))
     reckoned(one, other, out)
-    x = (one[:, 1] + 2 * other - 1) * (other / 3.0)
+    first = one[:, 1]
+    x = (first + 2 * other - 1) * (other / 3.0)
     low = (other < 0.25).any(axis=1)
     assert 0 < low.sum() < 20
     x[low] = np.maximum(abs(x[low]), 0.5)
-    assert np.array_equal(out, np.sqrt(abs(x - other)))
-
-
-def test_a_number_goes_into_every_lane() -> None:
-    @njit
-    def fill(array: np.ndarray) -> None:
-        put(array, (1,), 7)
-
-    array = np.zeros((2, LANES))
-    fill(array)
-    assert array.tolist() == [[0.0] * LANES, [7.0] * LANES]
-
-
-@njit
-def chosen(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
-    x, y = load(one, (0,)), load(other, (0,))
-    put(out, (0,), where_below(x, y, 1, -1))
-    put(out, (1,), min(x, y))
-    put(out, (2,), fma(x, y, -x * y))
-
-
-def test_lanes_choose_and_round_once() -> None:
-    one, other = np.full((1, LANES), 1 / 3), np.full((1, LANES), 3.0)
-    one[0, 0], other[0, 1] = 5.0, np.nan
-    out = np.empty((3, LANES))
-    chosen(one, other, out)
-    assert out[0].tolist() == [-1.0, -1.0, *[1.0] * (LANES - 2)]
-    assert out[1, 0] == 3.0 and (out[1, 2:] == 1 / 3).all()
-    assert out[2, 2] == -(2.0**-54)  # what the product's rounding to 1 left out
+    assert np.array_equal(out[:, 0], np.sqrt(abs(x - other)), equal_nan=True)
+    assert np.array_equal(out[:, 1], np.where(first < other, 1.0, -1.0))
+    assert np.array_equal(np.delete(out[:, 2], 1, 0), np.delete(np.minimum(first, other), 1, 0))
+    assert out[0, 3, 0] == -(2.0**-54)  # what the product's rounding to 1 left out
+    assert (out[:, 4] == 7).all()
