@@ -89,7 +89,7 @@ AS_OTHERS_WRITE = {
     # four numbers are a DT code unless an edge repeats
     _from_dt([4, 6, 8, 2]): "[(4,6,8,2)]",
     GaussCode.parse("1-c,1+c"): "[[1,1,2,2]]",
-    GaussCode.parse("1+a,1-a"): "[[2,1,1,2]]|O1+U1+",
+    GaussCode.parse("1+a,1-a"): "[[2,1,1,2]]|O1-U1-",
 }
 # the Knot Atlas says it in both notations
 FIGURE_EIGHT = "GaussCode[1, -4, 3, -1, 2, -3, 4, -2]", "X4251 X8615 X6374 X2738"
