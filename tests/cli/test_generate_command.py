@@ -3,11 +3,8 @@ are the same however it was run is in tests/runs/test_runner.py.
 """
 
 import json
-import os
 import re
 import shutil
-import signal
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +22,7 @@ from knotgym.rendering import draw_diagram
 from knotgym.rope import Rope
 from knotgym.states import States, read_states
 
-from ..small_job import SECONDS, WANTED, knotgym, typed, wait_for_file
-
-
-def bytes_of(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file."""
-    return {
-        str(path.relative_to(folder)): sha256(path) for path in folder.rglob("*") if path.is_file()
-    }
-
-
-def said(capfd: pytest.CaptureFixture[str]) -> list[str]:
-    """Lines on standard error."""
-    return capfd.readouterr().err.splitlines()
+from ..small_job import knotgym
 
 
 @pytest.fixture(scope="module")
@@ -55,18 +40,14 @@ def manifest(curated: Path) -> dict[str, Any]:
 # What is in the folder.
 
 
-def test_the_folder_holds_what_the_contract_lists(curated: Path) -> None:
+def test_the_folder_holds_what_the_contract_lists_and_the_manifest_every_file_of_it(
+    curated: Path, manifest: dict[str, Any]
+) -> None:
     names = {path.name for path in curated.iterdir()}
     assert names == {"states.h5", "minari", "gallery.png", "README.md", "manifest.json"}
     assert [path.name for path in curated.parent.iterdir()] == ["nx0-1"]
-
-
-def test_the_manifest_lists_every_other_file_with_its_checksum(
-    curated: Path, manifest: dict[str, Any]
-) -> None:
-    found = bytes_of(curated)
-    del found["manifest.json"]
-    assert manifest["files"] == found
+    files = {path for path in curated.rglob("*") if path.is_file()} - {curated / "manifest.json"}
+    assert manifest["files"] == {str(one.relative_to(curated)): sha256(one) for one in files}
 
 
 def test_configuration_versions_and_the_rope_are_written_with_the_states(
@@ -80,11 +61,7 @@ def test_configuration_versions_and_the_rope_are_written_with_the_states(
         mujoco.__version__,
     )
     assert attributes["rope"] == rope.config.fingerprint
-
-
-def test_both_splits_have_as_many_states_as_asked_for_of_as_many_codes_as_there_are(
-    states: States,
-) -> None:
+    # both splits have as many states as asked for, of as many codes as there are
     assert sorted(states.gauss_code.tolist()) == [""] * 4 + ["1+,1-"] * 2 + ["1-,1+"] * 2
     for nx in (0, 1):
         assert sorted(states.split[states.nx == nx].tolist()) == ["test"] * 2 + ["train"] * 2
@@ -144,17 +121,9 @@ def test_minari_loads_the_trajectories_of_one_split(
         )
         assert states.image is not None  # beside the rope its goal, the state, is shown
         assert np.array_equal(episode.observations["pixels"][-1, :, 128:], states.image[row])
-
-
-def test_the_recovered_environment_resets_from_the_states_of_the_job(
-    curated: Path, states: States, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
-    env = minari.load_dataset("knotgym/tie-nx1/demonstrations-v0").recover_environment()
-    for row in states.rows(1, "train"):
         _, info = env.reset(seed=0, options={"goal": int(row)})
         assert info["goal_gauss_code"] == states.gauss_code[row]
-        assert np.array_equal(env.unwrapped.episodes.goal_points(0), states.points[row])
+        assert np.array_equal(env.episodes.goal_points(0), states.points[row])
 
 
 def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
@@ -168,19 +137,6 @@ def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
         arrays(curated)
 
 
-@pytest.mark.thorough
-def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    words = typed("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a")
-    run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    wait_for_file(run, tmp_path, "run.json")
-    os.kill(run.pid, signal.SIGTERM)
-    _, error = run.communicate(timeout=SECONDS)
-    assert run.returncode == 130 and error.startswith("knotgym: interrupted before all output ")
-    assert len(error.splitlines()) == 1 and "--resume to go on, or with --restart" in error
-    # without any work done, not even the staging folder is left
-    assert {path.name for path in tmp_path.iterdir()} <= {".a.partial"}
-
-
 # What is refused.
 
 
@@ -192,7 +148,7 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     words = ("--nx", 0, "--count", 1, *hard, "--workers", 1, "--quiet")
     out = tmp_path / "runs" / "a"
     assert knotgym("generate", *words, "--out", out) == 1
-    (line,) = said(capfd)
+    (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith("knotgym: missing states: 1 with nx = 0; give --resume")
     assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
 

@@ -215,6 +215,8 @@ SOURCES = {
     "replay": "dataset replay {gif} --out {gif}",
     "import": "dataset import {npy} --out {npy}",
     "select": "dataset select {h5} --sample 1 --out {h5}",
+    "split": "dataset split {h5} --parts a=0.5,b=0.5 --out {h5}",
+    "delete": "dataset delete {h5} --rows 0 --out {h5}",
     "export": "dataset export {set} --to minari --out {set}",
     "merge": f"dataset merge {{set}} --id {ID} --out {{root}}",
 }

@@ -1,6 +1,5 @@
 """Datasets that are damaged, linked or hold infinity: every command answers with one line."""
 
-import json
 import re
 import shutil
 from collections.abc import Callable
@@ -11,12 +10,13 @@ import h5py
 import numpy as np
 import pytest
 from synthetic_episodes import TINY
+from synthetic_pictures import picture_rows
 
 from knotgym.cli import main
 from knotgym.common import InvalidFile
-from knotgym.datasets import open_episodes, write_episodes
-from knotgym.datasets.image_rows import PictureRow, record
-from knotgym.datasets.image_table import COLUMNS, parquet, table_of
+from knotgym.datasets import columns_of, locate, open_episodes, write_episodes
+from knotgym.datasets.image_rows import record
+from knotgym.datasets.image_table import parquet, table_of
 from knotgym.datasets.subsets import merge
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
@@ -53,15 +53,8 @@ def refused(command: str, path: Path, capfd: pytest.CaptureFixture[str]) -> str:
 def rows() -> list[dict[str, Any]]:
     """Rows of three pictures."""
     pytest.importorskip("pyarrow")
-    states = read_states(shipped(), images=False)
-    flags = dict.fromkeys(("reflect", "switch", "reverse"), False)
-    made = []
-    for number, state in enumerate([20, 70, 120]):
-        source = dict.fromkeys(COLUMNS["source"], 0) | flags | {"policy": "", "row": number}
-        made.append(
-            record(PictureRow(states.points[state], "train", source), AppearanceConfig(sizes=(64,)))
-        )
-    return made
+    ropes = read_states(shipped(), images=False).points[[20, 70, 120]]
+    return [record(row, AppearanceConfig(sizes=(64,))) for row in picture_rows(ropes)]
 
 
 @pytest.mark.parametrize("command", [*COMMANDS])
@@ -128,8 +121,6 @@ def test_a_damaged_file_of_minari_is_one_line(
 
 
 def test_no_reader_follows_a_link_to_episodes(tmp_path: Path) -> None:
-    from knotgym.common import InvalidFile
-    from knotgym.datasets import columns_of, locate
 
     data = tmp_path / "a/b-v0/data"
     data.mkdir(parents=True)
@@ -140,14 +131,3 @@ def test_no_reader_follows_a_link_to_episodes(tmp_path: Path) -> None:
     shutil.copy(TINY["random"], tmp_path / "own.h5")
     (tmp_path / "mine.h5").symlink_to(tmp_path / "own.h5")  # that the user names
     assert columns_of(tmp_path / "mine.h5").episodes.episodes.rows
-
-
-def test_a_horizon_that_no_memory_holds_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "long.h5"
-    shutil.copy(TINY["random"], path)
-    with h5py.File(path, "a") as file:
-        task = json.loads(file.attrs["task"]) | {"horizon": 10**9}
-        del file.attrs["task"]
-        file.attrs["task"] = np.bytes_(json.dumps(task))
-    with pytest.raises(InvalidFile, match="horizon must be at most 100000, got 1000000000"):
-        open_episodes(path)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,12 @@ from knotgym.datasets.cards import citation_file
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.exports import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
-from knotgym.datasets.located import Located, locate
+from knotgym.datasets.located import Located
 from knotgym.datasets.subsets import merge
 from knotgym.states import read_states
 
 EXPERT = str(TINY["expert"])
 ID = "knotgym/tie-nx2/tiny-v0"
-needs_arrow = pytest.mark.skipif(find_spec("pyarrow") is None, reason="pyarrow isn't installed")
 clients = pytest.mark.clients
 
 
@@ -44,6 +43,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """States and episodes exported for Hugging Face."""
+    pytest.importorskip("pyarrow")
     out = tmp_path_factory.mktemp("upload") / "hub"
     out.mkdir()
     located = Located(Path("tiny"), Path(states_path), tuple(TINY.values()))
@@ -131,7 +131,6 @@ def test_ogbench_files_appear_together(tmp_path: Path, monkeypatch: pytest.Monke
     assert not list(tmp_path.iterdir())
 
 
-@needs_arrow
 def test_parquet_tables_hold_every_number(states_path: str, huggingface: Path) -> None:
     import pyarrow.parquet as parquet
 
@@ -149,13 +148,11 @@ def test_parquet_tables_hold_every_number(states_path: str, huggingface: Path) -
     assert sum(row["is_last"] for row in mine) == own.rows
 
 
-@needs_arrow
 def test_the_folder_has_card_citation_gallery_and_croissant(huggingface: Path) -> None:
     assert {"README.md", "CITATION.cff", "gallery.png", "croissant.json", "data"} == {
         path.name for path in huggingface.iterdir()
     }
     card = (huggingface / "README.md").read_text(encoding="utf-8")
-    assert re.search(r"starts \d+, goals \d+, pairs \d+", card)
     assert "license: cc-by-4.0" in card and "| `goal_gauss_code` |" in card
     described = json.loads((huggingface / "croissant.json").read_text(encoding="utf-8"))
     assert described["license"].endswith("by/4.0/")
@@ -171,8 +168,8 @@ HOSTILE = (
 MARKUP = ("<img", "\n---\n# [", "[a](", "![c]", "http://d", " `e`", " | www", "www.f", "@g", " *i*")
 
 
-@needs_arrow
 def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
     facts = {"metadata": {"dataset_id": HOSTILE}}
     write_episodes(tmp_path / "e.h5", [episodes([2])], TASK, facts)
     export(str(tmp_path / "e.h5"), tmp_path / "hub", "huggingface", replay)
@@ -185,8 +182,8 @@ def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
     assert json.loads(title.partition(": ")[2]).startswith("knotgym: <img")
 
 
-@needs_arrow
 def test_a_card_says_what_the_dataset_shows(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
     merge([EXPERT, str(TINY["random"])], tmp_path / "both.h5")
     export(str(tmp_path / "both.h5"), tmp_path / "hub", "huggingface", replay)
     card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
@@ -205,17 +202,12 @@ def test_minaris_folder_is_a_repository_of_the_same_bytes(root: Path, tmp_path: 
     assert listed == [ID]
     for file in (root / ID / "data").iterdir():
         assert (tmp_path / "up" / ID / "data" / file.name).read_bytes() == file.read_bytes()
-
-
-def test_minaris_form_is_written_where_a_dataset_lacks_it(root: Path, tmp_path: Path) -> None:
-    import shutil
-
     copy = tmp_path / "root" / ID
     shutil.copytree(root / ID, copy)
-    for name in ("main_data.hdf5", "metadata.json"):
+    for name in ("main_data.hdf5", "metadata.json"):  # Minari's form, which is written again
         (copy / "data" / name).unlink()
-    export(str(copy), tmp_path / "up", "minari", replay)
-    assert (tmp_path / "up" / ID / "data/main_data.hdf5").is_file()
+    export(str(copy), tmp_path / "again", "minari", replay)
+    assert (tmp_path / "again" / ID / "data/main_data.hdf5").is_file()
 
 
 def test_what_has_no_place_in_a_form_is_refused(tmp_path: Path, states_path: str) -> None:
@@ -250,14 +242,6 @@ def test_a_new_export_is_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         export(str(one), tmp_path / "x", "poem", replay)
 
 
-def test_a_link_to_elsewhere_is_not_exported(root: Path, tmp_path: Path) -> None:
-    data = tmp_path / "knotgym/tie-nx2/tiny-v0/data"
-    data.mkdir(parents=True)
-    (data / "episodes.h5").symlink_to(TINY["expert"])
-    with pytest.raises(InvalidFile, match="link"):
-        locate(str(data.parent))
-
-
 def test_a_plain_file_never_lands_in_minaris_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -279,10 +263,8 @@ def test_minari_reads_the_folder_and_never_imports_us(root: Path, tmp_path: Path
 
 
 @clients
-@needs_arrow
 def test_datasets_reads_the_folder(huggingface: Path, tmp_path: Path) -> None:
-    if find_spec("dill") is None:  # the bare name "datasets" finds our link here
-        pytest.skip("Hugging Face's datasets isn't installed")
+    pytest.importorskip("dill")  # Hugging Face's; the bare name "datasets" finds our link here
     script = (
         "from datasets import load_dataset\n"
         f"one = load_dataset({str(huggingface)!r}, 'steps')\n"
@@ -293,10 +275,8 @@ def test_datasets_reads_the_folder(huggingface: Path, tmp_path: Path) -> None:
 
 
 @clients
-@needs_arrow
 def test_croissant_is_valid_and_a_record_comes_back(huggingface: Path, tmp_path: Path) -> None:
-    if find_spec("mlcroissant") is None:
-        pytest.skip("mlcroissant isn't installed")
+    pytest.importorskip("mlcroissant")
     script = (
         "import mlcroissant\n"
         f"one = mlcroissant.Dataset(jsonld={str(huggingface / 'croissant.json')!r})\n"

@@ -8,20 +8,15 @@ from knotgym.rendering import Film
 from knotgym.states import read_states
 
 
-def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
+def test_a_contact_sheet_holds_every_picture_unchanged_in_a_frame_of_its_colour() -> None:
     images = np.random.default_rng(0).integers(0, 255, (5, 16, 16, 3), dtype=np.uint8)
-    sheet = _contact_sheet([Tile(image, ("a", "b")) for image in images], columns=2)
+    colour = Film.OUTCOMES["failed"]
+    sheet = _contact_sheet([Tile(image, ("a", "b"), colour) for image in images], columns=2)
     assert sheet.shape == (3 * 58, 2 * 28, 3)
     for k, image in enumerate(images):
         top, left = k // 2 * 58 + 6, k % 2 * 28 + 6
         assert np.array_equal(sheet[top : top + 16, left : left + 16], image)
-
-
-def test_a_coloured_tile_is_framed() -> None:
-    image = np.zeros((16, 16, 3), dtype=np.uint8)
-    sheet = _contact_sheet([Tile(image, ("a",), Film.OUTCOMES["failed"])])
-    assert (sheet[5, 6:22] == Film.OUTCOMES["failed"]).all()
-    assert np.array_equal(sheet[6:22, 6:22], image)
+        assert (sheet[top - 1, left : left + 16] == colour).all()
 
 
 def test_a_caption_too_long_for_its_picture_is_written_smaller() -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import h5py
 import minari
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes
 
-from knotgym.common import InvalidInput, Occupied
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.minari_form import (
@@ -107,18 +105,6 @@ def test_a_state_file_is_carried_and_found_by_the_id(tmp_path: Path) -> None:
     dataset = open_episodes(folder)
     assert dataset.task.states == ID
     assert dataset.states_path() == folder / "data/states.h5"
-
-
-def test_a_dataset_that_is_there_is_kept(tmp_path: Path) -> None:
-    publish([episodes([1])], TASK, METADATA, tmp_path)
-    with pytest.raises(Occupied):
-        publish([episodes([1])], TASK, METADATA, tmp_path)
-
-
-@pytest.mark.parametrize("wrong", [{"dataset_id": "no version"}, {"dataset_id": "../x-v0"}])
-def test_metadata_that_minari_cannot_hold_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(InvalidInput):
-        replace(METADATA, **wrong)
 
 
 def entry(name: str, value: object) -> Callable[[Path], None]:

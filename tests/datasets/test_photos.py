@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from synthetic_pictures import picture_rows
 
 from knotgym.control import replay
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.exports import export
-from knotgym.datasets.image_rows import PictureRow, _redrawn, _row_faults, record
-from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
+from knotgym.datasets.image_rows import _redrawn, _row_faults, drawn_table
+from knotgym.datasets.image_table import decode, parquet, read_rows
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import page_data, page_html
 from knotgym.rendering import AppearanceConfig, Drawer
@@ -24,17 +25,13 @@ from knotgym.states import read_states, shipped
 def rows(folder: Path) -> list[dict[str, Any]]:
     """Rows of three photos, written and read again."""
     pytest.importorskip("pyarrow")
-    states = read_states(shipped(), images=False)
-    config, made = AppearanceConfig(name="photo", sizes=(128,), marked=1.0), []
-    for number, state in enumerate([20, 70, 120]):
-        flags = dict.fromkeys(("reflect", "switch", "reverse"), False)
-        source = dict.fromkeys(COLUMNS["source"], 0) | flags | {"policy": "", "row": number}
-        rng = np.random.default_rng(number)
-        points, camera = Drawer.of("photo").seen(states.points[state], config, rng)
-        made.append(record(PictureRow(points, "train", source, camera), config))
+    config = AppearanceConfig(name="photo", sizes=(128,), marked=1.0)
+    ropes = enumerate(read_states(shipped(), images=False).points[[20, 70, 120]])
+    seen = [Drawer.of("photo").seen(one, config, np.random.default_rng(k)) for k, one in ropes]
+    made = picture_rows([points for points, _ in seen], cameras=[camera for _, camera in seen])
     path = folder / "data/train-00000-of-00001.parquet"
     path.parent.mkdir()
-    path.write_bytes(parquet(table_of(made)))
+    path.write_bytes(parquet(drawn_table(made, config)))
     return list(read_rows(path))
 
 

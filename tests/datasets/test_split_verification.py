@@ -38,12 +38,6 @@ def faults(dataset: EpisodeDataset) -> list[str]:
     return [fault.removeprefix(str(dataset.path)) for fault in _split_faults(dataset)]
 
 
-@pytest.mark.parametrize("name", [*TINY])
-def test_what_was_collected_keeps_to_its_split(name: str) -> None:
-    dataset = open_episodes(TINY[name])
-    assert _split_faults(dataset) == _duplicate_faults(dataset) == []
-
-
 def test_a_goal_of_another_split_of_no_row_or_not_as_its_row_is_named(
     tiny: EpisodeDataset, states: States
 ) -> None:

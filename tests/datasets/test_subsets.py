@@ -1,6 +1,6 @@
 """Tests of select, split, delete and merge: table operations on states and episodes alike."""
 
-import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +9,8 @@ import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
 import knotgym
-from knotgym.common import InvalidInput, MissingFile, Occupied
-from knotgym.control import replay
+from knotgym.common import InvalidInput, MissingFile
 from knotgym.datasets import Episodes, delete, open_episodes, select, split
-from knotgym.datasets.exports import export
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.selectable import write_rows
 from knotgym.datasets.subsets import _matching_rows, kept, merge
@@ -70,7 +68,9 @@ def test_any_other_text_is_refused_in_one_line(text: str, says: str) -> None:
     assert says in str(caught.value) and str(caught.value).isprintable()
 
 
-def test_selected_episodes_are_those_of_the_source(tmp_path: Path) -> None:
+def test_selected_episodes_are_those_of_the_source_and_tell_of_every_selection(
+    tmp_path: Path,
+) -> None:
     made = written(tmp_path / "a.h5", episodes([3, 1, 4, 2]))
     out = select(made, where="length > 2 and truncated", out=tmp_path / "b.h5")
     found = open_episodes(out)
@@ -78,13 +78,11 @@ def test_selected_episodes_are_those_of_the_source(tmp_path: Path) -> None:
     (how,) = found.attributes["selection"]
     assert (how["rows"], how["kept"], how["where"]) == (4, 2, "length > 2 and truncated")
     assert kept(out) == "2 of 4 rows"
-
-
-def test_a_selection_of_a_selection_tells_both(tmp_path: Path) -> None:
-    made = written(tmp_path / "a.h5", episodes([3, 1, 4, 2]))
-    select(made, where="length > 1", out=tmp_path / "b.h5")
-    out = select(tmp_path / "b.h5", where="episode <> 0", out=tmp_path / "c.h5")
-    assert [one["kept"] for one in open_episodes(out).attributes["selection"]] == [3, 2]
+    again = select(out, where="episode <> 0", out=tmp_path / "c.h5")
+    assert [one["kept"] for one in open_episodes(again).attributes["selection"]] == [2, 1]
+    with pytest.raises(InvalidInput, match="none of the 2 rows"):
+        select(out, where="length > 7", out=tmp_path / "d.h5")
+    assert not (tmp_path / "d.h5").exists()
 
 
 def test_a_sample_is_drawn_from_the_seed(tmp_path: Path) -> None:
@@ -119,13 +117,6 @@ def test_rows_are_deleted_by_number(tmp_path: Path, states_path: str) -> None:
             delete(states_path, rows, tmp_path / "c.h5")
 
 
-def test_no_row_that_is_left_is_refused(tmp_path: Path) -> None:
-    made = written(tmp_path / "a.h5", episodes([1, 1]))
-    with pytest.raises(InvalidInput, match="none of the 2 rows"):
-        select(made, where="length > 7", out=tmp_path / "b.h5")
-    assert not (tmp_path / "b.h5").exists()
-
-
 def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
     made = episodes([1] * 40)
     goals = np.arange(40) // 4
@@ -140,6 +131,9 @@ def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
     ]
     assert not shown[0] & shown[1]
     assert rows[0].rows + rows[1].rows == 40 and rows[0].rows > rows[1].rows
+    for wrong in ("a=1", "a=0.5,b=0.6", "a=x,b=1", "a=0.5,a=0.5", ""):
+        with pytest.raises(InvalidInput):
+            split(path, wrong, out=tmp_path / "c.h5")
 
 
 def test_parts_are_replaced_together_or_not_at_all(
@@ -163,13 +157,6 @@ def test_parts_are_replaced_together_or_not_at_all(
     assert {file: file.read_bytes() for file in root.rglob("*.h5")} == before and len(before) == 2
 
 
-@pytest.mark.parametrize("parts", ["a=1", "a=0.5,b=0.6", "a=x,b=1", "a=0.5,a=0.5", ""])
-def test_parts_that_are_no_fractions_are_refused(tmp_path: Path, parts: str) -> None:
-    made = written(tmp_path / "a.h5", episodes([1, 1]))
-    with pytest.raises(InvalidInput):
-        split(made, parts, out=tmp_path / "b.h5")
-
-
 def test_states_are_selected_by_the_same_function(states_path: str, tmp_path: Path) -> None:
     states = read_states(states_path)
     chosen = select(states_path, where="nx >= 1", out=tmp_path / "a.h5")
@@ -186,13 +173,6 @@ def test_states_without_demonstrations_are_split(tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", bare)
     parts = split(tmp_path / "s.h5", "a=0.5,b=0.5", out=tmp_path / "p.h5")
     assert [len(read_states(one)) for one in parts] == [4, 4]
-
-
-def test_an_id_is_for_episodes(states_path: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="an id is for episodes"):
-        merge([states_path], tmp_path, "a/b-v0")
-    with pytest.raises(InvalidInput, match="--out"):
-        merge([states_path])
 
 
 def test_merged_files_hold_the_episodes_of_all(tmp_path: Path) -> None:
@@ -225,9 +205,7 @@ def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:
     assert [*found["digests"]] == ["knotgym/tie-nx2/p0-v0", "knotgym/tie-nx2/p1-v0"]
 
 
-def test_equal_episodes_and_other_tasks_are_not_merged(tmp_path: Path) -> None:
-    from dataclasses import replace
-
+def test_what_does_not_belong_together_is_not_merged(states_path: str, tmp_path: Path) -> None:
     one = str(written(tmp_path / "a.h5", episodes([2])))
     two = str(written(tmp_path / "b.h5", episodes([2], seed=1), replace(TASK, horizon=3)))
     three = str(written(tmp_path / "c.h5", episodes([2], seed=1).recording()))
@@ -235,31 +213,12 @@ def test_equal_episodes_and_other_tasks_are_not_merged(tmp_path: Path) -> None:
         ([one, one], "are the same"),
         ([one, two], "one horizon"),
         ([one, three], "one form"),
+        ([one, states_path], "all of states or all of episodes"),
     ):
         with pytest.raises(InvalidInput, match=says):
             merge(given, tmp_path / "m.h5")
     with pytest.raises(MissingFile):
         merge([one, "nothing"], tmp_path / "m.h5")
+    with pytest.raises(InvalidInput, match="an id is for episodes"):
+        merge([states_path], tmp_path, "a/b-v0")
     assert not (tmp_path / "m.h5").exists()
-
-
-def test_states_and_episodes_are_not_merged(states_path: str, tmp_path: Path) -> None:
-    one = str(written(tmp_path / "a.h5", episodes([2])))
-    with pytest.raises(InvalidInput, match="all of states or all of episodes"):
-        merge([one, states_path], tmp_path / "m.h5")
-
-
-def test_an_output_in_the_way_of_its_source_is_refused(states_path: str, tmp_path: Path) -> None:
-    file = tmp_path / "states.h5"
-    shutil.copy(states_path, file)
-    before = file.read_bytes()
-    for write in (
-        lambda: select(file, where="nx = 3", out=file, overwrite=True),
-        lambda: select(tmp_path, where="nx = 3", out=tmp_path / "part.h5", overwrite=True),
-        lambda: split(tmp_path, "a=0.5,b=0.5", out=tmp_path / "part.h5", overwrite=True),
-        lambda: merge([str(file), states_path], file, overwrite=True),
-        lambda: export(str(file), file, "huggingface", replay, overwrite=True),
-    ):
-        with pytest.raises(Occupied, match="is, contains or is in its source"):
-            write()
-    assert file.read_bytes() == before and len(list(tmp_path.iterdir())) == 1

@@ -1,6 +1,5 @@
 """Every example runs at its smallest size; how well it learns is not tested."""
 
-import importlib.util
 import json
 import os
 import re
@@ -10,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_pictures import picture_rows
 
-from knotgym.control import verify
-from knotgym.datasets import PictureRow, drawn_table, parquet, read_rows
+from knotgym.datasets import drawn_table, parquet, read_rows
 from knotgym.generate import ImagesConfig, make_images
 from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
@@ -24,27 +23,12 @@ from ..conftest import curled
 from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
-SCRIPTS = [
-    FOLDER / "to_lerobot.py",
-    FOLDER / "learners" / "offline_torch.py",
-    FOLDER / "perception" / "photos.py",
-    FOLDER / "perception" / "read.py",
-    FOLDER / "perception" / "trace.py",
-    FOLDER / "perception" / "transcribe.py",
-]
-MODULES = [
-    FOLDER / "perception" / "pictures.py",
-    FOLDER / "perception" / "strand_loss.py",
-]  # what the scripts share
-
-SOURCE = "policy start rope pulls reflect switch reverse base_shift seed row".split()
-with_arrow = pytest.mark.skipif(
-    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
-)
+MODULES = {"pictures", "strand_loss"}  # what the scripts share
+SCRIPTS = sorted(path for path in FOLDER.rglob("*.py") if path.stem not in MODULES)
 
 
-def test_no_example_is_left_out() -> None:
-    assert sorted(SCRIPTS + MODULES) == sorted(FOLDER.rglob("*.py"))
+def test_there_are_examples() -> None:
+    assert len(SCRIPTS) >= 6
 
 
 @pytest.mark.parametrize(
@@ -117,17 +101,11 @@ def test_every_example_says_how_to_use_it_or_what_it_needs(
         assert f"usage: {script.name}" in capsys.readouterr().out
 
 
-@with_arrow
 def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)]
-    whole: dict[str, object] = dict.fromkeys(SOURCE, 0)
-    whole |= {"policy": "", **dict.fromkeys(("reflect", "switch", "reverse"), False)}
-    sources = [whole | {"rope": number, "row": number} for number in range(len(ropes))]
-    rows = [
-        PictureRow(points, "test", source) for points, source in zip(ropes, sources, strict=True)
-    ]
+    pytest.importorskip("pyarrow")
+    rows = picture_rows([rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)], "test")
     (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, AppearanceConfig())))
     page = tmp_path / "misread.png"
     run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
@@ -138,21 +116,15 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     assert told[-1].startswith("no accepted picture was misread")
 
 
-@with_arrow
 def test_line_drawings_are_transcribed_to_pd_codes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("pyarrow")
     states = read_states(shipped(), images=False)
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
-    source = dict.fromkeys(SOURCE, 0) | {"policy": ""}
-    source |= dict.fromkeys(("reflect", "switch", "reverse"), False)
     look = AppearanceConfig(name="line", vary=("turn",))
-    rows = [
-        PictureRow(points, "test", source | {"rope": row, "row": row})
-        for row, points in enumerate(states.points[chosen])
-    ]
+    rows = picture_rows(states.points[chosen], "test")
     (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, look)))
-    assert verify(tmp_path / "table.parquet") == []
     answers = tmp_path / "answers.jsonl"
     script = FOLDER / "perception" / "transcribe.py"
     run_script(script, tmp_path / "table.parquet", "--out", answers)
@@ -165,12 +137,12 @@ def test_line_drawings_are_transcribed_to_pd_codes(
         assert next(parse_codes([own["answer"]])).nx == row["nx"]
 
 
-@with_arrow
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
 def test_photos_are_read_and_a_reader_is_trained_on_their_ropes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("torch")
     look = AppearanceConfig(name="photo")
     config = ImagesConfig(nx=(1, 2), count=8, test_nx=None, engine="chain", appearance=look)
     folder = make_images(config, tmp_path / "photos", RunOptions(workers=1, quiet=True))
@@ -183,23 +155,15 @@ def test_photos_are_read_and_a_reader_is_trained_on_their_ropes(
     assert total.split()[1] == "8" and float(total.split()[2]) > 70
 
 
-@with_arrow
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
 def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("torch")
     config = ImagesConfig(nx=(0, 1), count=20, test_nx=None, test_share=0.3, pulls=4)
     folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))
-    run_script(
-        FOLDER / "perception" / "read.py",
-        folder,
-        "--steps",
-        2,
-        "--batch",
-        4,
-        "--out",
-        tmp_path / "reader",
-    )
-    report = json.loads((tmp_path / "reader" / "report.json").read_text())
+    out = tmp_path / "reader"
+    script = FOLDER / "perception" / "read.py"
+    run_script(script, folder, "--steps", 2, "--batch", 4, "--out", out)
+    report = json.loads((out / "report.json").read_text())
     assert report["steps"] == 2 and report["scores"]["test"]["all"]["pictures"] > 0
-
-    assert (tmp_path / "reader" / "confusions.png").is_file()
+    assert (out / "confusions.png").is_file()

@@ -7,13 +7,12 @@ import resource
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from ..cli.test_generate_command import said
 from ..small_job import SECONDS, knotgym, typed, wait_for_file
 
 COLLECT = (
@@ -42,14 +41,14 @@ def test_a_limit_on_files_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixtu
         assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path) == 1
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    (line,) = said(capfd)
+    (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith("knotgym: File too large") and not (tmp_path / "a-v0").exists()
 
 
 def test_a_read_only_target_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with mounted(tmp_path / "disk"):
         assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path / "disk" / "b") == 2
-    (line,) = said(capfd)
+    (line,) = capfd.readouterr().err.splitlines()
     assert "can't be written: Read-only file system" in line
 
 
@@ -67,19 +66,26 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(tmp_path: Path) -> 
     assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path, "--resume") == 0
 
 
-@pytest.mark.slow
-def test_asked_to_stop_twice_it_says_so_once(tmp_path: Path) -> None:
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("send", "asked"), [(os.kill, [signal.SIGTERM]), (os.killpg, [signal.SIGINT] * 2)]
+)
+def test_asked_to_stop_it_says_so_once_and_leaves_its_work_at_most(
+    send: Callable[[int, int], None], asked: list[int], tmp_path: Path
+) -> None:
     words = typed(*COLLECT, "--workers", 2, "--out", tmp_path)
     stopped = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
     wait_for_file(stopped, tmp_path, "run.json")
-    for _ in range(2):
-        os.killpg(stopped.pid, signal.SIGINT)
+    for one in asked:
+        send(stopped.pid, one)
         time.sleep(0.01)
     error = stopped.communicate(timeout=SECONDS)[1]
-    assert stopped.returncode == 130
-    assert error.startswith("knotgym: interrupted before ") and error.count("\n") == 1
+    assert stopped.returncode == 130 and error.count("\n") == 1
+    assert error.startswith("knotgym: interrupted before all output ")
+    assert "--resume to go on, or with --restart" in error
+    assert all(path.name.startswith(".") for path in tmp_path.iterdir())
 
 
 def descendants(process: int, named: str) -> list[int]:
