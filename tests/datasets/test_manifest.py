@@ -25,6 +25,8 @@ SOUND: dict[str, Any] = {
     },
 }
 
+ODD: tuple[Any, ...] = ("", [], 3, None)
+
 
 def written(folder: Path, **changes: Any) -> Path:
     (folder / "manifest.json").write_text(json.dumps({**SOUND, **changes}), encoding="utf-8")
@@ -40,7 +42,7 @@ def test_a_sound_manifest_has_no_fault(tmp_path: Path) -> None:
     ("changes", "said"),
     [
         *(({"files": {name: "0"}}, "is not a file") for name in ("../x", "/etc/x", "", "\x1b[2J")),
-        *(({name: value}, name) for name in ("files", "config") for value in ("", [], 3, None)),
+        *(({name: value}, name) for name in ("files", "config") for value in ODD),
         *(({"report": {"attempts": value}}, "report.attempts") for value in ("3", True)),
         ({"report": {"existing_codes": [4]}}, "report.existing_codes"),
         *(
