@@ -1,8 +1,8 @@
-"""The agent, which sees pictures and returns actions, and the policy that it is.
+"""The policy that sees pictures and returns actions.
 
-At each step it updates its hypotheses of the rope's shape and position from the picture, infers
-which bead its last action pulled, and either continues its plan or replans. Planning is that of
-policy `planner`, in the chain engine.
+At each step its player updates its hypotheses of the rope's shape and position from the picture,
+infers which bead its last action pulled, and either continues its plan or replans. Planning is that
+of policy `planner`, in the chain engine.
 
 After a change run what `shape_hypotheses` says.
 """
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidPolicy
 from knotgym.control import BatchedSearch, PassValues, Player, PullPlannerConfig, Pulls, PullSearch
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
+from knotgym.learn.checkpoint import Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE
-from knotgym.learn.reader import Reader
+from knotgym.learn.policy_family import PRETRAINED
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, REACH, ShapeHypotheses, perturb_heights
 from knotgym.rope import ChainSimulation
 from knotgym.topology import GaussCode, label_many
@@ -92,36 +92,46 @@ class _Episode:
     imagined: int = 0
 
 
-class Agent:
-    """A controller from pictures that can act in several episodes in turn."""
+class PicturePlayer:
+    """Acts in the lanes of a batch, of which it reads nothing but the horizon and the pictures."""
 
-    def __init__(self, reader: Reader, starts: Array) -> None:
-        """Compose an agent; `starts` are start positions met in training, float64 (n, 3)."""
-        self.reader, self.starts = reader, starts
+    def __init__(self, learned: Learned, batch: EpisodeBatch) -> None:
+        self._learned, self._batch = learned, batch
+        self.planned = np.zeros(batch.count, dtype=np.int64)
         self._planning = BatchedSearch(_PLANNER.batch_size)
         self._believed = ChainSimulation(max(_COPIES, MOST_IMAGINED))
         self._episodes: dict[int, _Episode] = {}
 
-    def begin(self, index: int, rng: np.random.Generator, horizon: int) -> None:
-        """Begin episode `index` of `horizon` steps; all of its random draws come from `rng`."""
-        hypotheses = ShapeHypotheses(self.reader, self._believed, self.starts, rng)
-        self._episodes[index] = _Episode(rng, horizon, hypotheses)
+    def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
+        self.planned[ids] = 0
+        reader, starts = self._learned
+        for index, rng in zip(ids.tolist(), rngs, strict=True):
+            hypotheses = ShapeHypotheses(reader, self._believed, starts, rng)
+            self._episodes[index] = _Episode(rng, self._batch.task.horizon, hypotheses)
 
-    def act(self, index: int, picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def act(self, ids: NDArray[np.int64]) -> Pulls:
+        chosen = [self._act(self._episodes[k], self._batch.rgb(k)) for k in ids.tolist()]
+        actions = np.stack(chosen)
+        self.planned[ids] = [self._episodes[index].imagined for index in ids.tolist()]
+        # The policy names a point, as an action does: which bead that is, the simulation decides
+        # and the policy must infer.
+        beads, _ = self._batch.simulation.read_actions(actions, ids)
+        return Pulls(ids, beads, actions[:, 3:])
+
+    def _act(self, episode: _Episode, picture: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Choose an action from a picture of rope and goal.
 
         Args:
-            index: of the episode.
+            episode: that it is of.
             picture: uint8 (SIZE, 2 SIZE, 3), the rope on the left and the goal on the right.
 
         Returns:
             The action, float32 (6,): the point that it names, and the force.
         """
-        episode = self._episodes[index]
         size = picture.shape[0]
         if not episode.goals:
             goal = np.ascontiguousarray(picture[:, size:])
-            episode.goals = episode.hypotheses.read_codes(goal)
+            episode.goals = episode.hypotheses.codes(goal)
         rope = np.ascontiguousarray(picture[:, :size])
         # before the first action there is nothing to predict from
         if episode.named is None:
@@ -135,13 +145,9 @@ class Agent:
         action = np.concatenate([episode.named / REACH, episode.force])
         return np.clip(action, -1, 1).astype(np.float32)
 
-    def imagined(self, index: int) -> int:
-        """Return the number of imagined actions that an episode has spent."""
-        return self._episodes[index].imagined
-
     def _update_goal(self, episode: _Episode, picture: NDArray[np.uint8]) -> None:
         """Lower the weight of goal codes that the rope shows now: the episode would be over."""
-        shown = episode.hypotheses.code_probabilities(picture)
+        shown = episode.hypotheses.codes(picture, own=True)
         # Bayes' rule for "the episode continues": its likelihood is _MISREAD if the rope shows the
         # goal's code and 1 if not, averaged over the codes that the rope may show.
         for code in episode.goals:
@@ -240,9 +246,7 @@ class Agent:
 
 
 class PicturePolicy:
-    """Runs an agent on the pictures of its episodes.
-
-    Its players read nothing of the batch but the horizon, when an episode begins, and the pictures.
+    """Chooses actions from the pictures of its episodes.
 
     Attributes:
         name: of the policy.
@@ -257,28 +261,7 @@ class PicturePolicy:
 
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
-        starts = self._learned.starts.astype(np.float64)
-        return _PicturePlayer(Agent(self._learned.reader, starts), batch)
-
-
-class _PicturePlayer:
-    def __init__(self, agent: Agent, batch: EpisodeBatch) -> None:
-        self._agent, self._batch = agent, batch
-        self.planned = np.zeros(batch.count, dtype=np.int64)
-
-    def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        self.planned[ids] = 0
-        for index, rng in zip(ids.tolist(), rngs, strict=True):
-            self._agent.begin(index, rng, self._batch.task.horizon)
-
-    def act(self, ids: NDArray[np.int64]) -> Pulls:
-        chosen = [self._agent.act(index, self._batch.rgb(index)) for index in ids.tolist()]
-        actions = np.stack(chosen)
-        self.planned[ids] = [self._agent.imagined(index) for index in ids.tolist()]
-        # The agent names a point, as an action does: which bead that is, the simulation decides and
-        # the agent must infer.
-        beads, _ = self._batch.simulation.read_actions(actions, ids)
-        return Pulls(ids, beads, actions[:, 3:])
+        return PicturePlayer(self._learned, batch)
 
 
 def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> TaskConfig:

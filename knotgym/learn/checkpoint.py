@@ -10,10 +10,7 @@ network says by `signature` what it returns for inputs that are always the same;
 another signature stands is refused.
 """
 
-import hashlib
-import json
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,16 +21,17 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knotgym.common import InvalidFile, atomic_write, one_line, read_json, require_regular, sha256
+from knotgym.common import InvalidFile, atomic_write, one_line, require_regular, sha256
+from knotgym.learn.policy_family import (
+    CARD,
+    PICTURES,
+    WEIGHTS,
+    policy_folder,
+    read_card,
+    write_card,
+)
 from knotgym.learn.reader import Reader, inference
 
-FORMAT, FORMAT_VERSION = "knotgym-policy", 3
-CARD, WEIGHTS = "policy.json", "weights.safetensors"
-PRETRAINED, PRETRAINED_CLONE = "pretrained", "pretrained-clone"
-ROPE_READER = "rope-reader"
-# names of the folders that ship with the package
-SHIPPED = (PRETRAINED, PRETRAINED_CLONE, ROPE_READER)
-PICTURES, CLONE = "pictures", "clone"  # learners, beside ROPE_READER
 # By which numbers of a signature, of order 1 to 20, may be off: a machine's float32 rounding moves
 # them by less than 1e-5; two attention heads for four move an untrained clone's by 0.1.
 _OFF = 2e-4
@@ -44,18 +42,11 @@ class Learned(NamedTuple):
 
     Attributes:
         reader: network from pictures to vertices.
-        starts: float32 (n, 3), middles of ropes at the start of training episodes, metres.
+        starts: float64 (n, 3), middles of ropes at the start of training episodes, metres.
     """
 
     reader: Reader
-    starts: NDArray[np.float32]
-
-
-def policy_folder(name: str) -> Path:
-    """Return the folder of a learner: a path, or the name of one that ships."""
-    if name in SHIPPED:
-        return Path(str(files("knotgym.learn") / "data" / name))
-    return Path(name)
+    starts: NDArray[np.float64]
 
 
 def save_network(
@@ -84,18 +75,13 @@ def save_network(
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / WEIGHTS) as part:
         part.write_bytes(save({**kept, **(others or {})}))
-    whole = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+    facts = {
         "weights_sha256": sha256(folder / WEIGHTS),
         "learner": learner,
         "parameters": sum(one.numel() for one in network.parameters()),
         "signature": _signature(network),
-        **card,
     }
-    with atomic_write(folder / CARD) as part:
-        shown = {**whole, "digest": _card_digest(whole)}
-        part.write_text(json.dumps(shown, indent=1) + "\n", encoding="utf-8")
+    write_card(folder, {**facts, **card})
 
 
 def load_network(
@@ -174,35 +160,4 @@ def load_reader(name: str) -> Learned:
         raise InvalidFile(f"{folder / WEIGHTS}: places {said}")
     if not len(starts):
         raise InvalidFile(f"{folder / WEIGHTS}: places has no positions")
-    return Learned(reader, starts)
-
-
-def read_card(folder: Path) -> dict[str, Any]:
-    """Read `policy.json` of a learner's folder.
-
-    Raises:
-        InvalidFile: it is missing, changed, or of another version.
-    """
-    try:
-        card = read_json(folder / CARD)
-    except (OSError, ValueError) as error:
-        raise InvalidFile(
-            f"no learner at {folder}: it needs a readable {CARD}; knotgym train makes one"
-        ) from error
-    if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise InvalidFile(f"{folder / CARD} isn't of format {FORMAT}; knotgym train makes one")
-    version = card.get("format_version")
-    if type(version) is not int or version != FORMAT_VERSION:
-        raise InvalidFile(
-            f"{folder / CARD} has format version {version!r}; this version of knotgym reads"
-            f" {FORMAT_VERSION}: train again"
-        )
-    if card.get("digest") != _card_digest(card):
-        raise InvalidFile(f"{folder / CARD} doesn't match its own digest: it was changed")
-    return card
-
-
-def _card_digest(card: dict[str, Any]) -> str:
-    """Return the SHA-256 of a learner's card without its `digest`."""
-    fields = {name: value for name, value in card.items() if name != "digest"}
-    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+    return Learned(reader, starts.astype(np.float64))

@@ -26,9 +26,10 @@ from knotgym.common import InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, PassValues, Player, Sight
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.agent import require_readable
-from knotgym.learn.checkpoint import CARD, CLONE, PRETRAINED, load_network, load_reader, read_card
+from knotgym.learn.checkpoint import load_network, load_reader
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.policy_family import CARD, CLONE, PRETRAINED, read_card
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.rope import ActionView, ChainSimulation
@@ -121,9 +122,8 @@ class _Eyes:
     """Reads the pictures of one episode."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        learned = load_reader(PRETRAINED)
-        starts, chain = learned.starts.astype(np.float64), ChainSimulation(MOST_IMAGINED)
-        self._hypotheses = ShapeHypotheses(learned.reader, chain, starts, rng)
+        reader, starts = load_reader(PRETRAINED)
+        self._hypotheses = ShapeHypotheses(reader, ChainSimulation(MOST_IMAGINED), starts, rng)
         self._goals: dict[GaussCode, float] = {}
 
     def look(self, picture: NDArray[np.uint8]) -> tuple[Array, GaussCode]:
@@ -131,7 +131,7 @@ class _Eyes:
         size = picture.shape[0]
         if not self._goals:
             goal = np.ascontiguousarray(picture[:, size:])
-            self._goals = self._hypotheses.read_codes(goal)
+            self._goals = self._hypotheses.codes(goal)
         self._hypotheses.start(np.ascontiguousarray(picture[:, :size]))
         rope = self._hypotheses.ropes[0]
         # the goal isn't shown yet, or the episode would be over
@@ -161,42 +161,30 @@ def choose_macros(
     chosen = [np.zeros((0, 3), dtype=np.int64)]
     for first in range(0, len(points), _BLOCK):
         some = slice(first, first + _BLOCK)
-        own = points[some], goals[some], temperatures[some], rngs[some]
-        chosen.append(_choose_block(network, *own, values))
+        # Always _BLOCK rows, as sums of a network round by the shape of their batch.
+        seen, count = Marked.of(points[some], goals[some]), len(points[some])
+        states = Inputs(*(_filled(one) for one in inputs(seen[:4])))
+        with inference():
+            looked = network(states)
+            macros, prior, weight = network.likely(looked), torch.zeros(1, 1), 1.0
+            if values is not None:
+                macros, prior = _with_passes(macros, values, points[some], goals[some], seen)
+                weight = _GUIDED
+            likely, works = network.rate(looked, macros)
+        # the maximum of logits with Gumbel noise is a draw from their softmax
+        noise = np.zeros(likely.shape)
+        for row in np.flatnonzero(temperatures[some] > 0).tolist():
+            drawn = rngs[first + row].gumbel(size=noise.shape[1])
+            noise[row] = temperatures[first + row] * drawn
+        # all are logarithms: worth by the order, chance of being chosen, and weighed by WORKING the
+        # chance that it works
+        worth = prior + weight * likely + WORKING * works + torch.from_numpy(noise)
+        beads, targets, sides = macros[torch.arange(count), worth.argmax(1)[:count]].numpy().T
+        # back from the canonical frame into the world; reversal is its own inverse
+        beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
+        targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
+        chosen.append(np.stack([beads, targets, seen.frames.sides(2 * sides - 1)], axis=1))
     return np.concatenate(chosen)
-
-
-def _choose_block(
-    network: CloneNetwork,
-    points: Array,
-    goals: Sequence[GaussCode],
-    temperatures: Array,
-    rngs: Sequence[np.random.Generator],
-    values: PassValues | None,
-) -> NDArray[np.int64]:
-    """Choose macro-actions in up to _BLOCK states; missing ones are filled up with zeros."""
-    # Always _BLOCK rows, as sums of a network round by the shape of their batch.
-    seen, count = Marked.of(points, goals), len(points)
-    states = Inputs(*(_filled(one) for one in inputs(seen[:4])))
-    with inference():
-        looked = network(states)
-        macros, prior, share = network.likely(looked), torch.zeros(1, 1), 1.0
-        if values is not None:
-            macros, prior = _with_passes(macros, values, points, goals, seen)
-            share = _GUIDED
-        chosen, works = network.rate(looked, macros)
-    # the maximum of logits with Gumbel noise is a draw from their softmax
-    noise = np.zeros(chosen.shape)
-    for row in np.flatnonzero(temperatures > 0).tolist():
-        noise[row] = temperatures[row] * rngs[row].gumbel(size=noise.shape[1])
-    # all are logarithms: worth by the order, chance of being chosen, and weighed by WORKING the
-    # chance that it works
-    best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)[:count]
-    beads, targets, sides = macros[torch.arange(count), best].numpy().T
-    # back from the canonical frame into the world; reversal is its own inverse
-    beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
-    targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
-    return np.stack([beads, targets, seen.frames.sides(2 * sides - 1)], axis=1)
 
 
 def _filled(states: Tensor) -> Tensor:

@@ -51,10 +51,10 @@ class CloneTraining(Training):
         self._average, self._best = (_copied(network.state_dict()) for _ in range(2))
         self._least = torch.full((1,), math.inf, dtype=torch.float64)
 
-    def parts(self) -> dict[str, dict[str, Tensor]]:
+    def _parts(self) -> dict[str, dict[str, Tensor]]:
         """Return the tensors to keep beside the optimizer's."""
         own = {"average": self._average, "best": self._best, "judged": {"least": self._least}}
-        return {**super().parts(), **own}
+        return {**super()._parts(), **own}
 
     def advance(self) -> None:
         """Train up to the next multiple of `save_every` steps; then judge the averaged weights."""
@@ -66,7 +66,7 @@ class CloneTraining(Training):
             rows = rng.integers(len(self._fitted[-1]), size=config.batch)
             drawn = torch.from_numpy(rows).to(config.device)
             loss = _loss(self.network, [column[drawn] for column in self._fitted])
-            self.minimize(loss)
+            self._minimize(loss)
             losses.append(loss.detach())
             # the average forgets the first steps faster
             share = min(_AVERAGE, self.step / (self.step + 20))
@@ -83,15 +83,12 @@ class CloneTraining(Training):
             self._best = _copied(self._average)
         self.losses.append((self.step, torch.stack(losses).mean().item(), judged))
 
-    def ended(self) -> CloneNetwork:
-        """Return the network with the averaged weights of least held-out loss, on the CPU."""
-        return self._made(self._best).cpu()
-
-    @property
-    def kept(self) -> tuple[int, float]:
-        """The step after which these weights were judged, and their held-out loss."""
+    def ended(self) -> tuple[CloneNetwork, int, float]:
+        """Return the network with the averaged weights of least held-out loss, on the CPU; the step
+        after which they were judged; and that loss.
+        """
         step, _, loss = min(self.losses, key=lambda row: row[2])
-        return int(step), loss
+        return self._made(self._best).cpu(), int(step), loss
 
     def _made(self, weights: dict[str, Tensor]) -> CloneNetwork:
         network = CloneNetwork(self._config.width, self._config.layers).to(self._config.device)

@@ -57,7 +57,7 @@ class ReaderTraining(Training):
         own = rng.random(count) < _OWN
         guesses[own], moves[own] = best.detach().double().numpy()[own], 0.0
         second = _loss(self.network.corrected(seen, guesses, moves), wanted).mean()
-        self.minimize(first + second)
+        self._minimize(first + second)
         self.losses.append((self.step, first.item(), second.item()))
 
 

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knotgym.common import InvalidInput, inner
-from knotgym.learn.checkpoint import ROPE_READER, load_network, policy_folder, save_network
+from knotgym.learn.checkpoint import load_network, save_network
+from knotgym.learn.policy_family import ROPE_READER, policy_folder
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.topology import Crossings, GaussCode, find_crossings
@@ -274,15 +275,6 @@ class RopeReading(NamedTuple):
     line: Array
 
 
-class Maps(NamedTuple):
-    """`Fields` of one picture as float32 arrays, responses in [0, 1] instead of logits."""
-
-    lines: NDArray[np.float32]
-    upper: NDArray[np.float32]
-    base: NDArray[np.float32]
-    along: NDArray[np.float32]
-
-
 class RopeReader:
     """Reads pictures by a trained network."""
 
@@ -319,22 +311,21 @@ class RopeReader:
         way = cv2.INTER_AREA if side > SIDE else cv2.INTER_LINEAR
         seen = cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=way)
         with inference():
-            maps = _maps_of(self.network, torch.from_numpy(seen).permute(2, 0, 1)[None], views)[0]
-        found = _read_maps(maps)
+            fields = _averaged(self.network, torch.from_numpy(seen).permute(2, 0, 1)[None], views)
+        found = _line_in(fields)
         if found is None:
             return None
-        line, code, margin, share = found
-        base = _along(maps.base, line)
+        line, confidence = found
+        base = np.array([_bilinear(fields.base[None], x, y)[0] for x, y in line[:, :2]])
         start = int(base.argmax())
         step = line[(start + 1) % len(line), :2] - line[start - 1, :2]
-        if step @ _bilinear(maps.along, *line[start, :2]) < 0:
+        if step @ _bilinear(fields.along, *line[start, :2]) < 0:
             line, base, start = line[::-1], base[::-1], len(line) - 1 - start
         line, base = (np.roll(one, -start, axis=0) for one in (line, base))
         # the middle of the response lies between points
         line[0, :2] = np.average(line[_BESIDE, :2], axis=0, weights=base[_BESIDE])
         line[:, :2] = (line[:, :2] + 0.5) * CELL * side / SIDE
-        score = _confidence(code.nx, margin, share)
-        return RopeReading(_lifted(line).code, score, line)
+        return RopeReading(_crossings_of(line).code, confidence, line)
 
 
 def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
@@ -346,42 +337,19 @@ def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
     return RopeReader(load_network(policy_folder(name), ROPE_READER, lambda _: StrandNetwork())[0])
 
 
-def _along(field: NDArray[np.float32], line: Array) -> Array:
-    """Interpolate a field (h, w) at the points of a line, cells."""
-    return np.array([_bilinear(field[None], x, y)[0] for x, y in line[:, :2]])
+def _averaged(network: StrandNetwork, picture: Tensor, views: int) -> Fields:
+    """Find strands in a picture (1, 3, side, side), averaged over the first views of eight.
 
-
-def _confidence(nx: int, margin: float, share: float) -> float:
-    """Score a code by its least certain crossing and by the rope that the line leaves out."""
-    return float(np.clip(margin * share**4 * 0.99**nx, 0.0, 1.0))
-
-
-def _maps_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Maps]:
-    """Find strands in n pictures (n, 3, side, side), averaged over the first views of eight."""
-    with torch.no_grad():
-        views = _fields_of(network, pictures, votes)
-    mean = Fields(*(torch.stack(part).mean(0) for part in zip(*views, strict=True)))
-    parts = mean._replace(lines=torch.sigmoid(mean.lines), base=torch.sigmoid(mean.base))
-    return [Maps(*one) for one in zip(*(part.cpu().numpy() for part in parts), strict=True)]
-
-
-def _read_maps(maps: Maps) -> tuple[Array, GaussCode, float, float] | None:
-    """Return the line, float64 (n, 3), cells, its code, the margin and the share of `_traced`."""
-    found = _traced(maps)
-    if found is None:
-        return None
-    return *_coded(found[0], maps), found[1]
-
-
-def _fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fields]:
-    """Run the network on `votes` of the eight mirror images and turns; turn the fields back."""
+    Returns:
+        Its fields as float32 arrays, with responses in [0, 1] instead of logits.
+    """
     found = []
-    for vote in range(votes):
-        turns, flip = vote // 2 % 4, vote % 2
-        seen = torch.flip(pictures, (3,)) if flip else pictures
-        fields = Fields(*(part.float() for part in network(torch.rot90(seen, turns, (2, 3)))))
-        found.append(_turned_back(fields, turns, bool(flip)))
-    return found
+    for turns, flip in (divmod(view, 2) for view in range(views)):
+        seen = torch.flip(picture, (3,)) if flip else picture
+        found.append(_turned_back(network(torch.rot90(seen, turns, (2, 3))), turns, bool(flip)))
+    mean = Fields(*(torch.stack(part).mean(0)[0] for part in zip(*found, strict=True)))
+    mean = mean._replace(lines=torch.sigmoid(mean.lines), base=torch.sigmoid(mean.base))
+    return Fields(*(part.numpy() for part in mean))
 
 
 def _turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
@@ -402,14 +370,18 @@ def _turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
     return Fields(lines, upper, base, along)
 
 
-def _traced(maps: Maps) -> tuple[Array, float] | None:
-    """Walk along the rope.
+def _line_in(fields: Fields) -> tuple[Array, float] | None:
+    """Walk along the rope, and lift it at its crossings.
+
+    Args:
+        fields: of one picture, as `_averaged` returns them.
 
     Returns:
-        float64 (n, 2), cells, a closed line; and the share of the points found that it passes. None
-        if no line closes.
+        float64 (n, 3), cells, a closed line and its levels; and a score of its code by its least
+        certain crossing and by the share of the points found that it passes. None if no line
+        closes.
     """
-    points = _ridge_points(maps.lines)
+    points = _ridge_points(fields.lines)
     if len(points) > _CROWDED:
         return None
     partner, paid = _link(points)
@@ -420,7 +392,22 @@ def _traced(maps: Maps) -> tuple[Array, float] | None:
         return None
     own = order[line == closed.argmax()] // 2
     line = _smooth(points[own, :2])
-    return None if len(line) < _SHORT else (line, len(own) / len(points))
+    if len(line) < _SHORT:
+        return None
+    flat = _crossings_of(np.column_stack([line, np.zeros(len(line))]))
+    # per crossing, the doubled directions of both strands, against that of the upper one
+    margin, level = 1.0, np.zeros(len(line))
+    for over, under, position in zip(flat.over_place, flat.under_place, flat.position, strict=True):
+        one, other = (_doubled(line, int(place)) for place in (over, under))
+        apart = one - other
+        seen = _bilinear(fields.upper, position[0], -position[1])
+        vote = float(seen @ apart / max(np.hypot(*apart), 1e-6))
+        margin = min(margin, abs(vote))
+        for place, lift in ((over, vote), (under, -vote)):
+            level[[int(place) % len(line), (int(place) + 1) % len(line)]] = np.sign(lift)
+    lifted, passed = np.column_stack([line, level]), len(own) / len(points)
+    score = margin * passed**4 * 0.99 ** _crossings_of(lifted).nx
+    return lifted, float(np.clip(score, 0.0, 1.0))
 
 
 def _smooth(line: Array) -> Array:
@@ -439,27 +426,8 @@ def _smooth(line: Array) -> Array:
     return line[kept]
 
 
-def _coded(line: Array, maps: Maps) -> tuple[Array, GaussCode, float]:
-    """Lift a closed line (n, 2), cells, at its crossings; return it, its code and the margin."""
-    points = np.column_stack([line[:, 0], -line[:, 1], np.zeros(len(line))])
-    flat = find_crossings(points)
-    # per crossing, the doubled directions of both strands, against that of the upper one
-    margin = 1.0
-    level = np.zeros(len(line))
-    for over, under, position in zip(flat.over_place, flat.under_place, flat.position, strict=True):
-        one, other = (_doubled(line, int(place)) for place in (over, under))
-        apart = one - other
-        seen = _bilinear(maps.upper, position[0], -position[1])
-        vote = float(seen @ apart / max(np.hypot(*apart), 1e-6))
-        margin = min(margin, abs(vote))
-        for place, lift in ((over, vote), (under, -vote)):
-            level[[int(place) % len(line), (int(place) + 1) % len(line)]] = np.sign(lift)
-    lifted = np.column_stack([line, level])
-    return lifted, _lifted(lifted).code, margin
-
-
-def _lifted(line: Array) -> Crossings:
-    """Find the crossings of a line, float64 (n, 3), y down, lifted by its levels."""
+def _crossings_of(line: Array) -> Crossings:
+    """Find the crossings of a line, float64 (n, 3), y down, with heights or levels."""
     return find_crossings(line * (1.0, -1.0, 1.0))
 
 

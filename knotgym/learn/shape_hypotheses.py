@@ -134,10 +134,6 @@ class PositionBelief:
         picked = self._rng.choice(len(positions), size=PARTICLES, p=weights / weights.sum())
         self.positions = positions[picked] + self._rng.normal(0, _DRIFT, (PARTICLES, 3))
 
-    def shift(self, by: Array) -> None:
-        """Move all particles by the middle's displacement, float64 (3,), metres."""
-        self.positions = self.positions + by
-
     def _draw_starts(self, count: int) -> Array:
         drawn = self._starts[self._rng.integers(len(self._starts), size=count)]
         return drawn + self._rng.normal(0, _START_NOISE, (count, 3))
@@ -254,7 +250,7 @@ class ShapeHypotheses:
         prior = np.concatenate([self.weights, np.full(len(rows), 1 / max(1, len(rows)))])
         carried = prior * np.exp(fit - fit.max())
         best = int(np.argmax(carried))
-        self.position.shift(middles[best])
+        self.position.positions = self.position.positions + middles[best]
 
         # Correct each prediction by the picture. The new readings compete with them at the prior
         # _FRESH, or 1 - _FRESH if the best prediction plainly doesn't look like the picture.
@@ -268,23 +264,16 @@ class ShapeHypotheses:
             np.concatenate([(1 - fresh) * carried / carried.sum(), fresh * read_weights]),
         )
 
-    def code_probabilities(self, picture: NDArray[np.uint8]) -> dict[GaussCode, float]:
-        """Return the codes, without chirality, that the current picture may show."""
-        return self._codes(picture, self.ropes[:_CONSULTED], self.weights[:_CONSULTED])
+    def codes(self, picture: NDArray[np.uint8], own: bool = False) -> dict[GaussCode, float]:
+        """Return the probabilities of the codes, without chirality, that a picture may show.
 
-    def read_codes(self, picture: NDArray[np.uint8]) -> dict[GaussCode, float]:
-        """Return the same for a picture of another rope, such as the goal's."""
-        return self._codes(picture, *self._reader.read(picture))
-
-    def sample(self, count: int) -> tuple[Array, Array]:
-        """Sample hypotheses with their velocities; the first is always the most likely one."""
-        rows = self._rng.choice(len(self.ropes), size=count, p=self.weights)
-        rows[0] = 0
-        return self.ropes[rows], self.velocities[rows]
-
-    def _codes(
-        self, picture: NDArray[np.uint8], ropes: Array, weights: Array
-    ) -> dict[GaussCode, float]:
+        Args:
+            picture: uint8 (SIZE, SIZE, 3), of another rope, such as the goal's.
+            own: it is the current picture of this rope.
+        """
+        ropes, weights = self.ropes[:_CONSULTED], self.weights[:_CONSULTED]
+        if not own:
+            ropes, weights = self._reader.read(picture)
         # A reading is about a millimetre off, enough to miss or invent a small kink. So the codes
         # of many perturbed copies are counted instead of trusting that of the reading itself.
         varied = self._reader.perturb(picture, ropes, _READ_CODES, self._rng)
@@ -293,6 +282,12 @@ class ShapeHypotheses:
             codes[code.plain] = codes.get(code.plain, 0.0) + float(weight)
         total = sum(codes.values())
         return {code: weight / total for code, weight in codes.items()}
+
+    def sample(self, count: int) -> tuple[Array, Array]:
+        """Sample hypotheses with their velocities; the first is always the most likely one."""
+        rows = self._rng.choice(len(self.ropes), size=count, p=self.weights)
+        rows[0] = 0
+        return self.ropes[rows], self.velocities[rows]
 
     def _infer_pulled_bead(self, read: Array, named: Array, force: Array) -> None:
         """Infer which bead the last action pulled; update the position belief by it."""

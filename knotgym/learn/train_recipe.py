@@ -6,6 +6,7 @@ them; a training that is interrupted continues from its one checkpoint.
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ import torch
 import knotgym
 from knotgym.common import InvalidInput, Stream, Table, sha256
 from knotgym.datasets import EpisodeDataset, columns_of
-from knotgym.learn.checkpoint import CARD, CLONE, PICTURES, save_network
+from knotgym.learn.checkpoint import save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.policy_family import CARD, CLONE, PICTURES
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import draw_curve, fit
@@ -25,10 +28,9 @@ from knotgym.learn.training_data import (
     Examples,
     decisions_of,
     demonstrate,
-    require_trainable,
     states_and_pulls,
 )
-from knotgym.rope import CHAIN
+from knotgym.rope import CHAIN, RopeConfig
 from knotgym.runs import (
     Call,
     Progress,
@@ -71,7 +73,7 @@ def train(
         raise InvalidInput("a training can't be divided: leave out run.shard")
     opened = [columns_of(one) for one in datasets]
     for one in opened:
-        require_trainable(one.task, str(one.attributes.get("rope")), one.episodes, one.name)
+        _require_trainable(one)
     if not opened and not getattr(config, "demonstrations", 0):
         raise InvalidInput(
             "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
@@ -104,6 +106,30 @@ def train(
     return run(_recipe, out, whole, options, progress, prepare=prepare, identity_in=CARD)
 
 
+def _require_trainable(dataset: EpisodeDataset) -> None:
+    """Require episodes of the train split, with the rope that learners know.
+
+    Raises:
+        InvalidInput: they are not.
+    """
+    name, task, rope = dataset.name, dataset.task, dataset.attributes.get("rope")
+    if not task.split.startswith("train"):
+        raise InvalidInput(
+            f"{name} is of the {task.split} split, which is held out for evaluation; train on"
+            " datasets of the train split"
+        )
+    if not dataset.episodes.episodes.rows:
+        raise InvalidInput(f"{name} has no episodes; collect some with knotgym collect")
+    if rope != RopeConfig().fingerprint or task.integrator_steps != 24:
+        raise InvalidInput(
+            f"{name} was made with rope {rope} and {task.integrator_steps} integrator steps; the"
+            f" learner supports only {RopeConfig().fingerprint} and 24"
+        )
+    beads = dataset.episodes.steps["observation"].shape[1]
+    if beads != BEADS:
+        raise InvalidInput(f"{name} has ropes of {beads} beads; {BEADS} are needed")
+
+
 def _trained_on(
     opened: Sequence[EpisodeDataset], config: ReaderConfig | CloneConfig
 ) -> dict[str, list[Any]]:
@@ -111,7 +137,7 @@ def _trained_on(
     tasks = [one.task for one in opened]
     setups = [(one.task, one.nx, one.states or "readable", one.engine) for one in tasks]
     if isinstance(config, CloneConfig) and config.demonstrations:
-        setups += [(task, nx, config.states, CHAIN) for task in config.task for nx in config.nx]
+        setups += [(*setup, config.states, CHAIN) for setup in product(config.task, config.nx)]
     columns = zip(*dict.fromkeys(setups), strict=True)
     values = [sorted(set(column), key=str) for column in columns]
     return dict(zip(("tasks", "nx", "states", "engine"), values, strict=True))
@@ -156,9 +182,17 @@ def _train_clone(
             )
         parts.append(decisions_of(one.episodes, count))
         count += one.episodes.episodes.rows
-    calls = _demonstrations(config)
-    for made in (yield calls):
-        own = Examples(**made)
+    made = yield [
+        Call(
+            f"demonstrations of {task} {nx} {first}",
+            demonstrate,
+            (config, task, nx, first),
+            min(TOGETHER, config.demonstrations - first),
+        )
+        for task, nx in product(config.task, config.nx)
+        for first in range(0, config.demonstrations, TOGETHER)
+    ]
+    for own in (Examples(**columns) for columns in made):
         # searches are numbered from 0 for each task and nx
         # unique over all parts: held-out episodes are drawn by their numbers
         parts.append(own._replace(episodes=own.episodes % TOGETHER + count))
@@ -168,7 +202,7 @@ def _train_clone(
         raise InvalidInput("no episode reached its goal, so there is nothing to imitate")
     training = CloneTraining(config, data)
     fit(training, checkpoint_of(place), config.save_every, "clone", progress)
-    network, (kept, loss) = training.ended(), training.kept
+    network, kept, loss = training.ended()
     facts = {
         "kept_step": kept,
         "held_out_loss": loss,
@@ -181,20 +215,3 @@ def _train_clone(
     draw_curve(place, ("training", "held_out"), training.losses, kept)
     early = "; later steps fit only the training episodes" if kept < config.steps else ""
     return f"kept step {kept} of {config.steps}, held-out loss {loss:.2f}{early}"
-
-
-def _demonstrations(config: CloneConfig) -> list[Call]:
-    """Return the calls that make the demonstrations of all tasks."""
-    setups = (
-        [(task, nx) for task in config.task for nx in config.nx] if config.demonstrations else []
-    )
-    return [
-        Call(
-            f"demonstrations of {task} {nx} {first}",
-            demonstrate,
-            (config, task, nx, first),
-            min(TOGETHER, config.demonstrations - first),
-        )
-        for task, nx in setups
-        for first in range(0, config.demonstrations, TOGETHER)
-    ]

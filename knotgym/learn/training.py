@@ -9,7 +9,6 @@ same weights.
 
 import csv
 import hashlib
-import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -26,7 +25,6 @@ from torch import Tensor, nn
 from knotgym.common import InvalidFile, atomic_write, one_line, require_regular
 from knotgym.runs import Progress
 
-_SEAL = "seal"  # name of the array that holds the digest of the others
 # chosen without comparison; learners that exist don't depend on them, their scores in
 # docs/benchmark.md are of these
 _WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of the peak at the end
@@ -54,7 +52,7 @@ class Training(ABC):
     def advance(self) -> None:
         """Take one step or several."""
 
-    def minimize(self, loss: Tensor) -> None:
+    def _minimize(self, loss: Tensor) -> None:
         """Take one optimizer step; the rate rises linearly, then falls by a cosine."""
         # from 1 to 0 by half a cosine over the whole training, down to _LEAST_RATE of the peak
         falling = 0.5 + 0.5 * math.cos(math.pi * self.step / self.steps)
@@ -68,7 +66,7 @@ class Training(ABC):
         self._optimizer.step()
         self.step += 1
 
-    def parts(self) -> dict[str, dict[str, Tensor]]:
+    def _parts(self) -> dict[str, dict[str, Tensor]]:
         """Return the tensors to keep beside the optimizer's, which are changed in place."""
         return {"network": self.network.state_dict()}
 
@@ -77,14 +75,14 @@ class Training(ABC):
         # AdamW's two means and its count for each parameter: without them a resumed training would
         # take other steps
         moments = self._optimizer.state_dict()["state"]
-        parts = {**self.parts(), **{f"optimizer {number}": own for number, own in moments.items()}}
+        parts = {**self._parts(), **{f"optimizer {number}": own for number, own in moments.items()}}
         kept = {f"{part}/{k}": one for part, own in parts.items() for k, one in own.items()}
         kept["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 3)
         kept["step"] = torch.tensor([self.step])
         kept = {name: own.detach().cpu().contiguous() for name, own in kept.items()}
-        seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
+        content = save(kept)
         with atomic_write(path) as part:
-            part.write_bytes(save({**kept, _SEAL: seal}))
+            part.write_bytes(hashlib.sha256(content).digest() + content)
 
     def restore(self, path: Path) -> None:
         """Continue from a checkpoint.
@@ -94,15 +92,16 @@ class Training(ABC):
         """
         require_regular(path, "training", InvalidFile)
         try:
-            kept = load(path.read_bytes())
-            if bytes(kept.pop(_SEAL).to(torch.uint8).tolist()) != _digest(kept):
+            digest, content = (whole := path.read_bytes())[:32], whole[32:]
+            if hashlib.sha256(content).digest() != digest:
                 raise ValueError("its checksum differs")
+            kept = load(content)
             self.step, self.losses = int(kept.pop("step")), kept.pop("losses").tolist()
             parts: dict[str, dict[str, Tensor]] = {}
             for name, own in kept.items():
                 part, _, rest = name.partition("/")
                 parts.setdefault(part, {})[rest] = own
-            for part, tensors in self.parts().items():
+            for part, tensors in self._parts().items():
                 if tensors.keys() != parts[part].keys():
                     raise ValueError(f"its {part} is another one")
                 for name, own in tensors.items():
@@ -137,15 +136,6 @@ def fit(training: Training, path: Path, save_every: int, what: str, progress: Pr
         training.advance()
         if training.step % save_every == 0 or training.step == training.steps:
             training.save(path)
-
-
-def _digest(kept: dict[str, Tensor]) -> bytes:
-    """Return the SHA-256 of all tensors with their names, dtypes and shapes."""
-    whole = hashlib.sha256()
-    for name, own in sorted(kept.items()):
-        whole.update(json.dumps([name, str(own.dtype), [*own.shape]]).encode())
-        whole.update(own.numpy().tobytes())
-    return whole.digest()
 
 
 def draw_curve(

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, Stream
+from knotgym.common import Stream
 from knotgym.control import (
     BatchedSearch,
     PassPlan,
@@ -26,9 +26,8 @@ from knotgym.control import (
 )
 from knotgym.datasets import Episodes
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
-from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.train_config import CloneConfig
-from knotgym.rope import Array, Pass, RopeConfig
+from knotgym.rope import Array, Pass
 from knotgym.runs import Result
 from knotgym.states import CODE_SPLITS
 from knotgym.topology import CodeArrays, GaussCode, label
@@ -144,35 +143,6 @@ def decisions_of(one: Episodes, first: int = 0) -> Examples:
         episodes["success"][number],
         first + number,
     )
-
-
-def require_trainable(task: TaskConfig, rope: str, episodes: Episodes, name: Any) -> None:
-    """Require episodes of the train split, with the rope that learners know.
-
-    Args:
-        task: of the episodes.
-        rope: fingerprint of the rope model.
-        episodes: the dataset's.
-        name: of the dataset, for messages.
-
-    Raises:
-        InvalidInput: they are not.
-    """
-    if not task.split.startswith("train"):
-        raise InvalidInput(
-            f"{name} is of the {task.split} split, which is held out for evaluation; train on"
-            " datasets of the train split"
-        )
-    if not episodes.episodes.rows:
-        raise InvalidInput(f"{name} has no episodes; collect some with knotgym collect")
-    if rope != RopeConfig().fingerprint or task.integrator_steps != 24:
-        raise InvalidInput(
-            f"{name} was made with rope {rope} and {task.integrator_steps} integrator steps; the"
-            f" learner supports only {RopeConfig().fingerprint} and 24"
-        )
-    beads = episodes.steps["observation"].shape[1]
-    if beads != BEADS:
-        raise InvalidInput(f"{name} has ropes of {beads} beads; {BEADS} are needed")
 
 
 def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:

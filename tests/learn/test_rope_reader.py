@@ -23,8 +23,8 @@ pytestmark = pytest.mark.clients
 pytest.importorskip("safetensors")
 torch = pytest.importorskip("torch")
 
-from knotgym.learn.checkpoint import policy_folder  # noqa: E402
-from knotgym.learn.rope_reader import Maps, _read_maps, _turned_back, load_rope_reader  # noqa: E402
+from knotgym.learn.policy_family import policy_folder  # noqa: E402
+from knotgym.learn.rope_reader import _crossings_of, _line_in, _turned_back, load_rope_reader  # noqa: E402
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields  # noqa: E402
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def projected(points: Array) -> tuple[Array, Tensor]:
     return pixels, torch.from_numpy(line[None]).float()
 
 
-def drawn(points: Array) -> Maps:
+def drawn(points: Array) -> Fields:
     """Return what a perfect network would find in a picture of a rope, float64 (beads, 3)."""
     pixels, line = projected(points)
     lines = lifted_lines(line, SIDE // CELL)[0].numpy()
@@ -69,15 +69,16 @@ def drawn(points: Array) -> Maps:
         away = (x - at[0] / CELL + 0.5) ** 2 + (y + at[1] / CELL + 0.5) ** 2
         upper[:, away < nearest] = np.array([np.cos(twice), np.sin(twice)])[:, None]
         nearest = np.minimum(nearest, away)
-    return Maps(lines, upper, np.zeros_like(lines[0]), upper)
+    return Fields(lines, upper, np.zeros_like(lines[0]), upper)
 
 
 @pytest.mark.parametrize("nx", [0, 2, 4, 5])
 def test_drawn_lines_are_walked_through_their_crossings(states: States, nx: int) -> None:
     right = 0
     for row in states.rows(nx, "train")[:8]:
-        found = _read_maps(drawn(states.points[row]))
-        right += found is not None and same_diagram(found[1], label(states.points[row]))
+        found = _line_in(drawn(states.points[row]))
+        code = found and _crossings_of(found[0]).code
+        right += code is not None and same_diagram(code, label(states.points[row]))
     assert right >= 7  # of 8: strands that nearly touch may be exchanged
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
 
-from knotgym.learn.agent import Agent  # noqa: E402
+from knotgym.learn.agent import PicturePlayer  # noqa: E402
+from knotgym.learn.checkpoint import Learned  # noqa: E402
 from knotgym.learn.colour_reading import BEADS  # noqa: E402
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, imagine  # noqa: E402
 from knotgym.rope import ChainSimulation  # noqa: E402
@@ -85,11 +87,12 @@ def test_motion_tells_a_rope_from_its_mirror_image(
 
 def test_the_code_shown_is_not_the_goal_while_the_episode_continues() -> None:
     reader: Any = TwoReadings(tilted_loop())
-    agent = Agent(reader, np.zeros((1, 3)))
-    agent.begin(0, np.random.default_rng(0), 50)
-    episode, plain, kink = agent._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
+    batch: Any = SimpleNamespace(count=1, task=SimpleNamespace(horizon=50))
+    player = PicturePlayer(Learned(reader, np.zeros((1, 3))), batch)
+    player.begin(np.zeros(1, np.int64), [np.random.default_rng(0)])
+    episode, plain, kink = player._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
     episode.goals = {plain: 0.6, kink: 0.4}
     picture = np.zeros((128, 128, 3), dtype=np.uint8)
     episode.hypotheses.start(picture)
-    agent._update_goal(episode, picture)
+    player._update_goal(episode, picture)
     assert episode.goal == kink

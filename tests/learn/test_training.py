@@ -114,7 +114,7 @@ def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
 
     class Tiny(Training):
         def advance(self) -> None:
-            self.minimize(self.network(torch.ones(1, 2)).sum())
+            self._minimize(self.network(torch.ones(1, 2)).sum())
 
     def tiny() -> Tiny:
         return Tiny(torch.nn.Linear(2, 1), 0.1, 0.0, 4)
