@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidPolicy
 from knotgym.control import BatchedSearch, PassValues, Player, PullPlannerConfig, Pulls, PullSearch
 from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.learn.card import PRETRAINED
 from knotgym.learn.checkpoint import Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE
-from knotgym.learn.policy_family import PRETRAINED
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, REACH, ShapeHypotheses, perturb_heights
 from knotgym.rope import ChainSimulation
 from knotgym.topology import GaussCode, label_many

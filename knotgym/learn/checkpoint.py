@@ -22,14 +22,7 @@ from safetensors.torch import load, save
 from torch import Tensor, nn
 
 from knotgym.common import InvalidFile, atomic_write, one_line, require_regular, sha256
-from knotgym.learn.policy_family import (
-    CARD,
-    PICTURES,
-    WEIGHTS,
-    policy_folder,
-    read_card,
-    write_card,
-)
+from knotgym.learn.card import CARD, PICTURES, WEIGHTS, policy_folder, read_card, write_card
 from knotgym.learn.reader import Reader, inference
 
 # By which numbers of a signature, of order 1 to 20, may be off: a machine's float32 rounding moves

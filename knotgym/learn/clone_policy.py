@@ -26,10 +26,10 @@ from knotgym.common import InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, PassValues, Player, Sight
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.agent import require_readable
+from knotgym.learn.card import CARD, CLONE, PRETRAINED, read_card
 from knotgym.learn.checkpoint import load_network, load_reader
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
-from knotgym.learn.policy_family import CARD, CLONE, PRETRAINED, read_card
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.rope import ActionView, ChainSimulation

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knotgym.common import InvalidInput, inner
+from knotgym.learn.card import ROPE_READER, policy_folder
 from knotgym.learn.checkpoint import load_network, save_network
-from knotgym.learn.policy_family import ROPE_READER, policy_folder
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.topology import Crossings, GaussCode, find_crossings

@@ -16,10 +16,10 @@ import torch
 import knotgym
 from knotgym.common import InvalidInput, Stream, Table, sha256
 from knotgym.datasets import EpisodeDataset, columns_of
+from knotgym.learn.card import CARD, CLONE, PICTURES
 from knotgym.learn.checkpoint import save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
 from knotgym.learn.colour_reading import BEADS
-from knotgym.learn.policy_family import CARD, CLONE, PICTURES
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import draw_curve, fit

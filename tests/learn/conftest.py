@@ -38,7 +38,7 @@ def weights(folder: Path) -> bytes:
 
 def put_card(folder: Path, **fields: object) -> None:
     """Change fields of a learner's card, as who can write its digest, too."""
-    from knotgym.learn.policy_family import _card_digest
+    from knotgym.learn.card import _card_digest
 
     card = {**json.loads((folder / "policy.json").read_text()), **fields}
     card["digest"] = _card_digest(card)

@@ -156,7 +156,7 @@ def test_a_forged_signature_is_refused(clone: Path, tmp_path: Path, signature: A
 
 def test_a_reader_of_ropes_is_no_policy(tmp_path: Path) -> None:
     from knotgym.control import PolicyConfig, make_policy
-    from knotgym.learn.policy_family import policy_folder
+    from knotgym.learn.card import policy_folder
 
     with pytest.raises(Exception, match="isn't of learner pictures but of 'rope-reader'"):
         make_policy(PolicyConfig(policy=str(policy_folder("rope-reader"))))

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.clients
 pytest.importorskip("safetensors")
 torch = pytest.importorskip("torch")
 
-from knotgym.learn.policy_family import policy_folder  # noqa: E402
+from knotgym.learn.card import policy_folder  # noqa: E402
 from knotgym.learn.rope_reader import _crossings_of, _line_in, _turned_back, load_rope_reader  # noqa: E402
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields  # noqa: E402
 

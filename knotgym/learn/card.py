@@ -1,0 +1,63 @@
+"""Folders of learners by their names, and their cards; it can be read without torch."""
+
+import hashlib
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from knotgym.common import InvalidFile, atomic_write, read_json
+
+FORMAT, FORMAT_VERSION = "knotgym-policy", 3
+CARD, WEIGHTS = "policy.json", "weights.safetensors"
+PRETRAINED, ROPE_READER = "pretrained", "rope-reader"
+# names of the folders that ship with the package
+POLICIES = (PRETRAINED, "pretrained-clone")
+_SHIPPED = (*POLICIES, ROPE_READER)
+PICTURES, CLONE = "pictures", "clone"  # learners, beside ROPE_READER
+
+
+def policy_folder(name: str) -> Path:
+    """Return the folder of a learner: a path, or the name of one that ships."""
+    if name in _SHIPPED:
+        return Path(str(files("knotgym.learn") / "data" / name))
+    return Path(name)
+
+
+def write_card(folder: Path, facts: dict[str, Any]) -> None:
+    """Write `policy.json` of a learner's folder, with its format and digest."""
+    card = {"format": FORMAT, "format_version": FORMAT_VERSION, **facts}
+    card["digest"] = _card_digest(card)
+    with atomic_write(folder / CARD) as part:
+        part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+
+
+def read_card(folder: Path) -> dict[str, Any]:
+    """Read `policy.json` of a learner's folder.
+
+    Raises:
+        InvalidFile: it is missing, changed, or of another version.
+    """
+    try:
+        card = read_json(folder / CARD)
+    except (OSError, ValueError) as error:
+        raise InvalidFile(
+            f"no learner at {folder}: it needs a readable {CARD}; knotgym train makes one"
+        ) from error
+    if not isinstance(card, dict) or card.get("format") != FORMAT:
+        raise InvalidFile(f"{folder / CARD} isn't of format {FORMAT}; knotgym train makes one")
+    version = card.get("format_version")
+    if type(version) is not int or version != FORMAT_VERSION:
+        raise InvalidFile(
+            f"{folder / CARD} has format version {version!r}; this version of knotgym reads"
+            f" {FORMAT_VERSION}: train again"
+        )
+    if card.get("digest") != _card_digest(card):
+        raise InvalidFile(f"{folder / CARD} doesn't match its own digest: it was changed")
+    return card
+
+
+def _card_digest(card: dict[str, Any]) -> str:
+    """Return the SHA-256 of a learner's card without its `digest`."""
+    fields = {name: value for name, value in card.items() if name != "digest"}
+    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
