@@ -60,8 +60,39 @@ def _pull_of(observation: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.sin(1000 * observation[:6])
 
 
-class Reusing:
-    """Functions that share what they return, and change or keep what they are given."""
+def sharing(batch: Any) -> Any:
+    """A player that returns the same arrays always, and changes those that it gets."""
+    player: Any = RANDOM.player(batch)
+    act, begin, kept = player.act, player.begin, np.zeros((batch.count, 3), np.float32)
+
+    def shared(ids: Any) -> Pulls:
+        own, pulls = ids.copy(), act(ids.copy())
+        forces = kept[: len(own)]
+        forces[:] = pulls.forces
+        ids[:] = -5
+        return Pulls(own, pulls.beads, forces)
+
+    def begun(ids: Any, rngs: Any) -> None:
+        begin(ids.copy(), rngs)
+        ids[:], rngs[:] = -5, []
+
+    player.act, player.begin = shared, begun
+    return player
+
+
+def giving(action: Any) -> Any:
+    """A function that returns always the same."""
+
+    def act(observation: object) -> Any:
+        return action
+
+    return staticmethod(act)
+
+
+class Own:
+    """A module of the user's."""
+
+    # what shares what it returns, and changes or keeps what it is given
 
     buffer = np.zeros(6, np.float32)
     kept = tuple[NDArray[np.float32], ...]()
@@ -92,37 +123,9 @@ class Reusing:
         observation[:6] = _pull_of(observation)
         return observation[:6]
 
+    shares = SimplePolicy("shares", sharing)
 
-def sharing(batch: Any) -> Any:
-    """A player that returns the same arrays always, and changes those that it gets."""
-    player: Any = RANDOM.player(batch)
-    act, begin, kept = player.act, player.begin, np.zeros((batch.count, 3), np.float32)
-
-    def shared(ids: Any) -> Pulls:
-        own, pulls = ids.copy(), act(ids.copy())
-        forces = kept[: len(own)]
-        forces[:] = pulls.forces
-        ids[:] = -5
-        return Pulls(own, pulls.beads, forces)
-
-    def begun(ids: Any, rngs: Any) -> None:
-        begin(ids.copy(), rngs)
-        ids[:], rngs[:] = -5, []
-
-    player.act, player.begin = shared, begun
-    return player
-
-
-class Own:
-    """A module of the user's."""
-
-    reuses, mutates, keeps, aliases, shares = (
-        Reusing.reuses,
-        Reusing.mutates,
-        Reusing.keeps,
-        Reusing.aliases,
-        SimplePolicy("shares", sharing),
-    )
+    # what returns something else than pulls
 
     none, list_of = wrong(lambda player, ids: None), wrong(lambda player, ids: [0] * len(ids))
     others = wrong(lambda p, ids: Pulls(ids + 9, ids, np.zeros((len(ids), 3), np.float32)))
@@ -130,31 +133,8 @@ class Own:
     strong = wrong(lambda p, ids: Pulls(ids, ids, np.full((len(ids), 3), 2, np.float32)))
     absent_bead = wrong(lambda p, ids: Pulls(ids, ids + 100, np.zeros((len(ids), 3), np.float32)))
     raising = wrong(_raise)
-
-    counter, made, three = Counter, Counter(), 3
-    policy = own_policy(lambda seen: [0.0] * 6, "still")
-
-    plain = staticmethod(_pull_of)
-
-    @staticmethod
-    def informed(observation: object, info: dict[str, object], rng: Any) -> list[float]:
-        return [0, 0, 0, float("gauss_code" in info), 0, rng.uniform(-1, 1)]
-
-    @staticmethod
-    def brief(observation: object) -> list[float]:
-        return [0, 0, 0, 0.5, 0, 0]
-
-    @staticmethod
-    def far(observation: object) -> list[float]:
-        return [0, 0, 0, 0, 0, 7.0]
-
-    @staticmethod
-    def nothing(observation: object) -> float:
-        return float("nan")
-
-    @staticmethod
-    def short(observation: object) -> list[float]:
-        return [0.0] * 5
+    far, nothing, short = giving([0.0] * 5 + [7.0]), giving(float("nan")), giving([0.0] * 5)
+    three = 3
 
     @staticmethod
     def two(observation: object, info: object) -> list[float]:
@@ -167,6 +147,16 @@ class Own:
     @staticmethod
     def leaving(observation: object) -> list[float]:
         sys.exit()
+
+    # what acts
+
+    counter, made = Counter, Counter()
+    policy = own_policy(lambda seen: [0.0] * 6, "still")
+    plain, brief = staticmethod(_pull_of), giving([0, 0, 0, 0.5, 0, 0])
+
+    @staticmethod
+    def informed(observation: object, info: dict[str, object], rng: Any) -> list[float]:
+        return [0, 0, 0, float("gauss_code" in info), 0, rng.uniform(-1, 1)]
 
 
 @pytest.fixture(autouse=True)
@@ -265,13 +255,6 @@ def test_codes_with_more_crossings_than_there_was_room_for_are_kept_whole() -> N
     shown = CodeArrays(made.steps["visits"], made.steps["signs"]).texts()
     assert [label(points).chiral for points in made.steps["observation"]] == shown.tolist()
     assert made.steps["crossings"][made.offsets[:-1]].tolist() == [0, 36]
-
-
-def test_macro_actions_of_plans_are_stored_with_their_pulls() -> None:
-    steps = played("expert", SEEDS[:4], 4).steps
-    first = np.flatnonzero(steps["macro_start"])
-    assert len(first) and (np.abs(steps["macro_side"][first]) == 1).all()
-    assert not (steps["macro_side"][np.flatnonzero(steps["macro_bead"] == 0)] * 2).any()
 
 
 def test_advice_is_stored_and_not_followed() -> None:
@@ -386,13 +369,7 @@ def test_a_registered_policy_is_made_by_its_name(
     weights.unlink()
     with pytest.raises(InvalidPolicy, match="weights"):
         PolicyConfig(policy="restless").files()
-
-
-def test_a_registered_constructor_that_exits_is_an_invalid_policy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    leaving = PolicyFamily(form="leaving", make=lambda config: sys.exit(3), files=lambda n: {})
-    monkeypatch.setitem(policies._table, "leaving", leaving)
+    register_policy(PolicyFamily(form="leaving", make=lambda config: sys.exit(3)))
     with pytest.raises(InvalidPolicy, match="policy leaving raised SystemExit: 3 .test_policies"):
         make_policy(PolicyConfig(policy="leaving"))
 

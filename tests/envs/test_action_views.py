@@ -10,7 +10,7 @@ import pytest
 
 from knotgym.common import InvalidInput
 from knotgym.control import PolicyConfig, make_policy, rollouts
-from knotgym.datasets import write_episodes
+from knotgym.datasets import open_episodes, write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
@@ -39,15 +39,10 @@ def settings(task: TaskConfig, **changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("view, size", [("bead", [100, 11, 11, 11]), ("macro", [100, 100, 2])])
-def test_a_view_has_its_space_and_survives_in_a_spec(
-    view: str, size: list[int], task: TaskConfig
-) -> None:
-    env = gym.make("knotgym/Tie-v0", **settings(task, action=view))
-    assert env.spec is not None
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    for one in (env, again):
-        assert isinstance(one.action_space, gym.spaces.MultiDiscrete)
-        assert one.action_space.nvec.tolist() == size
+def test_a_view_has_its_space(view: str, size: list[int], task: TaskConfig) -> None:
+    one = gym.make("knotgym/Tie-v0", **settings(task, action=view))
+    assert isinstance(one.action_space, gym.spaces.MultiDiscrete)
+    assert one.action_space.nvec.tolist() == size
     many = gym.make_vec("knotgym/Tie-v0", num_envs=2, **settings(task, action=view))
     assert many.action_space.sample().shape == (2, len(size))
 
@@ -134,8 +129,6 @@ def test_ropes_of_a_vector_environment_act_as_single_ones(view: str, task: TaskC
     [
         ("bead", [100, 0, 0, 0], "whole numbers below"),
         ("bead", [0.5, 0, 0, 0], "whole numbers below"),
-        ("bead", [0, 0, 0], "is 4 whole numbers"),
-        ("macro", [0, 0, 2], "whole numbers below"),
         ("macro", [0, -1, 0], "whole numbers below"),
         ("macro", [np.nan, 0, 0], "whole numbers below"),
         ("macro", [0.0] * 6, "is 3 whole numbers"),
@@ -155,6 +148,9 @@ def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:
     pull, bead, macro = (arrays(played, action=view) for view in ("pull", *VIEWS))
     assert np.array_equal(arrays(played)["actions"], macro["actions"])  # the environment's view
     assert np.array_equal(bead["actions"][:, 1:], ActionView.force_choices(pull["actions"][:, 3:]))
+    stored = open_episodes(played).episodes
+    pulled = np.delete(stored.steps["bead"], stored.last())
+    assert np.array_equal(bead["actions"][:, 0], pulled)
     for name in ("observations", "rewards", "terminals"):
         assert np.array_equal(bead[name], pull[name])
     stops = np.cumsum(macro["pulls"])

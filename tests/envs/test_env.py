@@ -123,16 +123,20 @@ def test_curated_states_serve_every_task_and_split(task: str, nx: int) -> None:
 
 
 @pytest.mark.parametrize(("views", "shape"), [({}, (64, 128, 3)), (THREE_VIEWS, (192, 128, 4))])
-def test_pictures_show_the_rope_left_and_the_goal_right(
+def test_pictures_and_states_show_the_rope_and_then_the_goal(
     make: Make, states: States, views: dict[str, Any], shape: tuple[int, ...]
 ) -> None:
-    env = make("convert", nx=3, observation="pixels", image_size=64, **views)
-    picture, info = env.reset(seed=0)
-    config = PictureConfig(size=64, **views)
+    settings: dict[str, Any] = {"nx": 3, "image_size": 64, **views}
+    env = make("convert", observation="both", **settings)
+    seen, info = env.reset(seed=0)
+    ropes = np.stack([env.episodes.simulation.points[0], states.points[info["goal"]]])
+    picture, config = seen["pixels"], PictureConfig(size=64, **views)
     assert picture.shape == shape and picture.dtype == np.uint8
     assert same(env.render(), picture[..., :3])
-    assert np.array_equal(picture[:, :64], draw(env.episodes.simulation.points[0], config))
-    assert np.array_equal(picture[:, 64:], draw(states.points[info["goal"]], config))
+    assert np.array_equal(picture, np.concatenate([*draw(ropes, config)], axis=1))
+    assert same(seen["state"], ropes.ravel().astype(np.float32))
+    for mode, alone in seen.items():
+        assert same(make("convert", observation=mode, **settings).reset(seed=0)[0], alone)
 
 
 def test_a_photo_keeps_its_table_for_an_episode_and_marks_the_base(make: Make) -> None:
@@ -159,20 +163,6 @@ def test_lines_are_black_on_white_and_broken_where_a_strand_goes_under(make: Mak
     assert cv2.connectedComponents(dark)[0] - 1 == info["goal_gauss_code"].count("-") == 3
 
 
-def test_states_hold_the_rope_and_then_the_goal(make: Make, states: States) -> None:
-    env = make("convert", nx=3)
-    state, info = env.reset(seed=0)
-    assert state.shape == (600,) and state.dtype == np.float32
-    assert np.array_equal(state[:300], env.episodes.simulation.points[0].ravel().astype(np.float32))
-    assert np.array_equal(state[300:], states.points[info["goal"]].ravel().astype(np.float32))
-
-
-def test_both_is_the_picture_and_the_state(make: Make) -> None:
-    one = [rollout(make("tie", observation=mode), 0) for mode in MODES[:3]]
-    for pixels, state, both in zip(*one, strict=True):
-        assert same(both[0], {"pixels": pixels[0], "state": state[0]})
-
-
 def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
     env = make("convert", nx=3, observation="symbolic")
     steps = rollout(env, 0, steps=6)
@@ -183,9 +173,7 @@ def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
             assert str(GaussCode(tuple(visits))) == info[name]
             assert not any(row[len(visits) :])
     assert np.count_nonzero(steps[0][0][0]) == 4 and np.count_nonzero(steps[0][0][1]) == 6
-
-
-def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
+    # of a code too long the first are kept
     visits = np.array([label for k in range(1, 41) for label in (k, -k)])
     assert np.array_equal(Observer.symbols(visits), visits[: Observer.SYMBOLS])
 
@@ -194,14 +182,11 @@ def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
 def test_same_seed_same_arrays(make: Make, task: str) -> None:
     env = make(task, observation="both")
     first = rollout(env, 3)
-    assert same(first, rollout(env, 3)) and same(first, rollout(make(task, observation="both"), 3))
-
-
-def test_resets_go_on_along_the_seeded_generator(make: Make) -> None:
-    env, other = make(), make()
-    ours = [env.reset(seed=1)[0], env.reset()[0], env.reset()[0]]
-    theirs = [other.reset(seed=1)[0], other.reset()[0], other.reset()[0]]
-    assert same(ours, theirs) and not np.array_equal(ours[1], ours[2])
+    other = make(task, observation="both")
+    assert same(first, rollout(env, 3)) and same(first, rollout(other, 3))
+    # resets go on along the seeded generator
+    ours, theirs = [env.reset()[0], env.reset()[0]], [other.reset()[0], other.reset()[0]]
+    assert same(ours, theirs) and not same(*ours)
 
 
 @pytest.mark.parametrize(
@@ -254,9 +239,13 @@ def test_chirality_does_not_count(make: Make) -> None:
     assert env.step(IDLE)[1:4] == (5.0, True, False)
 
 
-def test_info_has_the_same_keys_and_types_at_every_step(make: Make) -> None:
+def test_info_tells_the_pull_by_the_same_keys_and_types_at_every_step(make: Make) -> None:
     env = make("tie", horizon=3)
-    infos = [result[-1] for result in rollout(env, 0, steps=3)]
+    infos = [env.reset(seed=0)[1]]
+    assert infos[0]["bead"] == -1 and not infos[0]["force"].any()
+    action = env.episodes.simulation.actions([17], [[0.1, -0.2, 0.05]])[0]
+    infos.append(env.step(action)[-1])
+    assert infos[1]["bead"] == 17 and np.allclose(infos[1]["force"], [0.1, -0.2, 0.05])
     blow_up(env.episodes.simulation)
     infos.append(env.step(IDLE)[-1])
     for info in infos:
@@ -264,15 +253,6 @@ def test_info_has_the_same_keys_and_types_at_every_step(make: Make) -> None:
         assert {key: type(value) for key, value in info.items()} == {
             key: type(value) for key, value in infos[0].items()
         }
-
-
-def test_info_tells_the_pull(make: Make) -> None:
-    env = make("tie")
-    info = env.reset(seed=0)[1]
-    assert info["bead"] == -1 and not info["force"].any()
-    action = env.episodes.simulation.actions([17], [[0.1, -0.2, 0.05]])[0]
-    info = env.step(action)[4]
-    assert info["bead"] == 17 and np.allclose(info["force"], [0.1, -0.2, 0.05])
 
 
 def test_what_an_agent_gets_is_its_own(make: Make) -> None:
@@ -287,18 +267,6 @@ def test_what_an_agent_gets_is_its_own(make: Make) -> None:
         got = env.step(rng.uniform(-1, 1, 6).astype(np.float32))
 
 
-@pytest.mark.parametrize(("nx", "noise"), [(1, 0.015), (2, 0.015), (4, 0.015), (3, 0.2)])
-def test_a_reset_keeps_the_code_that_was_asked_for(
-    make: Make, states: States, nx: int, noise: float
-) -> None:
-    env = make("convert", nx=nx, reset_noise=noise)
-    for seed in range(10):
-        info = env.reset(seed=seed)[1]
-        code = label(env.episodes.simulation.points[0])
-        assert code.chiral == states.gauss_code_chiral[info["start"]] == info["gauss_code_chiral"]
-        assert str(code) == info["gauss_code"]
-
-
 def test_options_pick_rows(make: Make, states: States) -> None:
     env = make("convert", nx=3)
     start, goal = int(states.rows(2, "train")[1]), int(states.rows(3, "train")[2])
@@ -309,6 +277,8 @@ def test_options_pick_rows(make: Make, states: States) -> None:
             states.gauss_code[start],
             states.gauss_code[goal],
         )
+        code = label(env.episodes.simulation.points[0])  # the noise of resets keeps it
+        assert code.chiral == states.gauss_code_chiral[start] == info["gauss_code_chiral"]
 
 
 @pytest.fixture
@@ -441,18 +411,6 @@ def test_a_pickled_environment_goes_on_as_the_first(
     assert same(again.reset(), env.reset())
 
 
-def test_a_spec_survives_json(registered: Callable[..., gym.Env[Any, Any]]) -> None:
-    env = registered(
-        "convert", nx=3, split="test", observation="both", horizon=7, hold=2, reset_noise=0.01
-    )
-    assert env.spec is not None
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    here, there = env.unwrapped, again.unwrapped
-    assert isinstance(here, KnotEnv) and isinstance(there, KnotEnv)
-    assert there.config == here.config
-    assert same(rollout(again, 0), rollout(env, 0))
-
-
 def test_render_gives_the_picture_in_every_observation_mode(make: Make) -> None:
     pictures = []
     for mode in MODES:
@@ -536,11 +494,16 @@ def test_a_registered_task_is_played_as_its_crossings_say() -> None:
 SHORT: dict[str, Any] = {"engine": "chain", "observation": "state", "horizon": 4}
 
 
-def test_the_spec_says_after_how_many_steps_episodes_end() -> None:
-    env = gym.make("knotgym/Tie-v0", **SHORT)
-    assert env.spec is not None and env.spec.max_episode_steps == 4
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+def test_a_spec_survives_json_and_says_after_how_many_steps_episodes_end(
+    registered: Callable[..., gym.Env[Any, Any]],
+) -> None:
+    settings: dict[str, Any] = {"nx": 3, "split": "test", "reset_noise": 0.01, "action": "bead"}
+    env: Any = registered("convert", hold=2, rope={"joint_damping": 0.02}, **settings, **SHORT)
+    again: Any = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert again.spec == env.spec and pickle.loads(pickle.dumps(env.spec)) == env.spec
+    assert again.unwrapped.config == env.unwrapped.config
+    assert env.spec.max_episode_steps == 4 and env.unwrapped.config.rope == {"joint_damping": 0.02}
+    assert same(again.reset(seed=0), env.reset(seed=0))
     many = gym.make_vec("knotgym/Tie-v0", num_envs=2, **SHORT)
     assert many.spec is not None and many.spec.max_episode_steps == 4
     assert gym.make_vec(many.spec).unwrapped.config.horizon == 4  # type: ignore[attr-defined]
@@ -595,10 +558,6 @@ def test_a_user_sets_parameters_of_the_rope() -> None:
         for name, value in (rope or {}).items():
             assert getattr(env.episodes.simulation.rope.config, name) == value
     assert len({one.tobytes() for one in ends}) == 3
-    made = gym.make("knotgym/Tie-v0", rope={"joint_damping": 0.02}, **SHORT)
-    assert made.spec is not None
-    again: Any = gym.make(gym.envs.registration.EnvSpec.from_json(made.spec.to_json()))
-    assert again.unwrapped.config.rope == {"joint_damping": 0.02}
 
 
 @pytest.mark.parametrize(

@@ -50,14 +50,9 @@ def test_images_of_a_state_look_the_same(symmetry: Symmetry) -> None:
     # a rope whose code and goal are their own images can be seen in two ways
     same = np.abs(here.points - there.points).max(axis=(1, 2)) < 1e-9
     assert same.mean() > 0.8
+    if not symmetry.reverse:
+        assert same[here.goal[:, 0, 0] != 0].all()
     assert np.array_equal(here.marks[same], there.marks[same])
-
-
-@pytest.mark.parametrize("symmetry", SYMMETRIES[:3])
-def test_turned_reflected_and_switched_ropes_always_look_the_same(symmetry: Symmetry) -> None:
-    here, there = pairs(symmetry)
-    goals = here.goal[:, 0, 0] != 0
-    assert np.abs(here.points - there.points)[goals].max() < 1e-9
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)

@@ -98,11 +98,8 @@ def test_hindsight_cuts_at_every_code_that_was_reached(made: Episodes, path: Pat
     for name in ("observations", "next_observations"):
         np.testing.assert_array_equal(held[name][ends][:, 3 * BEADS :], shown)
     np.testing.assert_array_equal(held["next_observations"][ends][:, : 3 * BEADS], shown)
-
-
-def test_hindsight_to_the_last_code_gives_one_segment_an_episode(path: Path) -> None:
-    opened = Transitions(path, relabel="last")
-    assert opened.episode.tolist() == [0, 1, 2] and opened.goal_step.tolist() == [3, 1, 5]
+    last = Transitions(path, relabel="last")
+    assert last.episode.tolist() == [0, 1, 2] and last.goal_step.tolist() == [3, 1, 5]
 
 
 @pytest.mark.parametrize(
@@ -126,11 +123,6 @@ def test_observations_are_those_of_the_environment(look: dict[str, Any]) -> None
     np.testing.assert_allclose(seen, np.stack(right), rtol=0, atol=near)
 
 
-def test_pictures_of_another_size_are_drawn() -> None:
-    small = arrays(TINY["expert"], observation="pixels", picture=PictureConfig(size=16))
-    assert small["observations"].shape[1:] == (16, 32, 3)
-
-
 def test_a_cache_holds_every_picture_once(tmp_path: Path) -> None:
     plain = Transitions(TINY["expert"], observation="both")
     kept = Transitions(TINY["expert"], observation="both", cache=tmp_path / "c")
@@ -143,9 +135,32 @@ def test_a_cache_holds_every_picture_once(tmp_path: Path) -> None:
                 one.batch([9, 3])["observations"][name], plain.batch([9, 3])["observations"][name]
             )
     assert file.stat().st_mtime_ns == before  # later processes read it
-    picture = PictureConfig(size=16)
-    Transitions(TINY["expert"], observation="pixels", picture=picture, cache=tmp_path / "c")
-    assert len([*(tmp_path / "c").iterdir()]) == 2
+    small: dict[str, Any] = {"observation": "pixels", "picture": PictureConfig(size=16)}
+    seen = arrays(TINY["expert"], cache=tmp_path / "c", **small)["observations"]
+    assert seen.shape[1:] == (16, 32, 3) and len([*(tmp_path / "c").iterdir()]) == 2
+
+
+def test_a_changed_cut_or_linked_cache_is_one_line(tmp_path: Path) -> None:
+    def opened() -> Transitions:
+        return Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
+
+    opened()
+    (file,) = (tmp_path / "c").iterdir()
+    changed = bytearray(file.read_bytes())
+    changed[-1000] ^= 1  # the goal of the last episode
+    file.write_bytes(changed)
+    data = opened()
+    data.batch([0])
+    with pytest.raises(InvalidFile, match="is damaged: delete the file"):
+        data.batch([len(data) - 1])
+    file.write_bytes(changed[:100])
+    with pytest.raises(InvalidFile, match="delete it"):
+        opened()
+    file.unlink()
+    file.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InvalidFile):
+        opened()
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_sets_of_equal_pulls_and_other_states_share_no_pictures(
@@ -162,68 +177,11 @@ def test_sets_of_equal_pulls_and_other_states_share_no_pictures(
         np.testing.assert_array_equal(kept[1]["observations"], right)
 
 
-def test_a_picture_of_a_cache_that_was_changed_is_refused(tmp_path: Path) -> None:
-    Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
-    (file,) = (tmp_path / "c").iterdir()
-    changed = bytearray(file.read_bytes())
-    changed[-1000] ^= 1  # the goal of the last episode
-    file.write_bytes(changed)
-    opened = Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
-    opened.batch([0])
-    with pytest.raises(InvalidFile, match="is damaged: delete the file"):
-        opened.batch([len(opened) - 1])
-
-
-def test_a_damaged_or_linked_cache_is_one_line(tmp_path: Path) -> None:
-    Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
-    (file,) = (tmp_path / "c").iterdir()
-    file.write_bytes(file.read_bytes()[:100])
-    with pytest.raises(InvalidFile, match="delete it"):
-        Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
-    file.unlink()
-    file.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InvalidFile):
-        Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
-    assert not (tmp_path / "elsewhere").exists()
-
-
-def test_the_bead_view_names_the_beads_that_were_pulled() -> None:
-    steps = open_episodes(TINY["expert"]).episodes.steps
-    opened = Transitions(TINY["expert"], observation="state", action="bead")
-    rows = np.delete(np.arange(steps.rows), open_episodes(TINY["expert"]).episodes.last())
-    np.testing.assert_array_equal(opened.actions[:, 0], steps["bead"][rows])
-
-
-def labelled(made: Episodes) -> Episodes:
-    """Add an expert's actions and macro-actions that begin at every other state."""
-    sizes, rows = dict(made.steps.schema.sizes), made.steps.rows
-    even = np.arange(rows) % 2 == 0
-    extra = {
-        "expert_action": np.full((rows, 6), 0.5, np.float32),
-        "macro_start": even,
-        "macro_bead": np.arange(rows).astype(np.uint16),
-        "macro_target": (np.arange(rows) + 9).astype(np.uint16),
-        "macro_side": np.where(even, 1, -1).astype(np.int8),
-    }
-    return made._replace(steps=Table(STEPS.sized(**sizes), {**made.steps, **extra}))
-
-
-def test_the_macro_view_goes_from_one_macro_action_to_the_next(tmp_path: Path) -> None:
-    made = labelled(episodes([3, 1, 6]))
-    opened = Transitions(written(tmp_path / "a.h5", made), action="macro")
-    # rows 0 to 3, 4 to 5, 6 to 12; macro-actions start in even rows but the last of an episode
-    assert opened._before.tolist() == [0, 2, 4, 6, 8, 10]
-    assert opened._after.tolist() == [2, 3, 5, 8, 10, 12]
-    assert opened.pulls.tolist() == [2, 1, 1, 2, 2, 2]
-    assert opened.actions.tolist() == [[row, row + 9, 1] for row in (0, 2, 4, 6, 8, 10)]
-    rewards = made.steps["reward"]
-    np.testing.assert_allclose(opened.rewards[0], rewards[0] + rewards[1])
-    assert "pulls" in arrays(tmp_path / "a.h5", action="macro")
-
-
 def test_labels_take_the_place_of_actions(tmp_path: Path) -> None:
-    made = labelled(episodes([3, 1]))
-    path = written(tmp_path / "a.h5", made)
+    made = episodes([3, 1])
+    steps = {**made.steps, "expert_action": np.full_like(made.steps["action"], 0.5)}
+    table = Table(STEPS.sized(**dict(made.steps.schema.sizes)), steps)
+    path = written(tmp_path / "a.h5", made._replace(steps=table))
     assert (Transitions(path, labels=True).actions == 0.5).all()
     history = Transitions(path, labels=True, window=Window(history=1)).batch([1])["history"]
     np.testing.assert_array_equal(history[0, 0], made.steps["action"][0])
