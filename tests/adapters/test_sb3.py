@@ -88,11 +88,13 @@ def test_its_algorithms_train(
     from stable_baselines3.common.evaluation import evaluate_policy
     from stable_baselines3.common.vec_env import VecMonitor
 
-    settings = {**SMALL, "states": states_path, "observation": observation}
+    layout = "stacked" if observation == "pixels" else "beside"
+    settings = {**SMALL, "states": states_path, "observation": observation, "layout": layout}
     envs = VecMonitor(sb3_vec_env("tie", 2, **settings))
     more = {"n_steps": 8, "batch_size": 16} if algorithm == "PPO" else {"learning_starts": 8}
     model = getattr(sb3, algorithm)(policy, envs, seed=0, **more)
     model.learn(16)
+    assert observation != "pixels" or model.observation_space.shape == (6, 36, 36)
     mean, _ = evaluate_policy(model, envs, n_eval_episodes=2)
     assert -5 <= mean <= 5 and envs.render().shape[2] == 3
 

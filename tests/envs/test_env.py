@@ -174,8 +174,8 @@ def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
             assert not any(row[len(visits) :])
     assert np.count_nonzero(steps[0][0][0]) == 4 and np.count_nonzero(steps[0][0][1]) == 6
     # of a code too long the first are kept
-    visits = np.array([label for k in range(1, 41) for label in (k, -k)])
-    assert np.array_equal(Observer.symbols(visits), visits[: Observer.SYMBOLS])
+    long = np.array([label for k in range(1, 41) for label in (k, -k)])
+    assert np.array_equal(Observer.symbols(long), long[: Observer.SYMBOLS])
 
 
 @pytest.mark.parametrize("task", TASKS)

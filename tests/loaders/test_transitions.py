@@ -263,6 +263,10 @@ def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, wo
     for name, column in (("observation", "observations"), ("reward", "rewards")):
         found = np.concatenate([batch[name].numpy() for batch in batches])
         np.testing.assert_allclose(found, held[column].astype(np.float32))
+    chunks = torch_dataset(path, window=Window(n_step=5, chunk=5))
+    batch = next(iter(DataLoader(chunks, batch_size=N, num_workers=workers)))
+    assert batch["action"].shape == (N, 5, 6) and batch["action_mask"].any(1).all()
+    assert batch["reward"].shape == batch["discount"].shape == (N,)
 
 
 @clients
