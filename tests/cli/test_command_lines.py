@@ -186,6 +186,7 @@ REFUSED = [
     ("collect --nx 99", "nx must be from 1 to 11 on 100 beads, got 99"),
     ("collect --task plait", "must be one of unknot, tie, convert or a list, got 'plait'"),
     ("collect --resume --restart", "give only one of them"),
+    ("collect --set run.scheduler=tcp://a:1 --workers 2", "--workers 2 is for local processes"),
     (
         "collect --set task.appearance=photo --set task.depth=true",
         'appearance "photo" is the orthographic top view, without depth and not drawn by MuJoCo;',

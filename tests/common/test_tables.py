@@ -56,42 +56,27 @@ def test_a_table_comes_back_as_it_was(tmp_path: Path, pack: bool) -> None:
     back = read_back(tmp_path / "rows.h5")
     assert Table.digest(back) == Table.digest(table())
     assert dict(back.schema.sizes) == {"beads": 4}
-
-
-def test_columns_that_have_a_unit_name_it_in_the_file(path: Path) -> None:
-    with h5py.File(path, "r") as file:
+    flags = back["points"].flags
+    assert pack or not (flags.owndata or flags.writeable) and flags.aligned  # mapped
+    with h5py.File(tmp_path / "rows.h5") as file:
         units = [{**file[SCHEMA.name][name].attrs} for name in ("points", "done")]
     assert units == [{"unit": "m"}, {}]
 
 
-def test_contiguous_columns_are_mapped_and_read_only(path: Path) -> None:
-    points = read_back(path)["points"]
-    assert not points.flags.owndata and not points.flags.writeable and points.flags.aligned
-
-
 @pytest.mark.parametrize("rows", [0, 1, 7])
 def test_parts_are_appended(tmp_path: Path, path: Path, rows: int) -> None:
-    write_tables(
-        tmp_path / "all.h5", [[table(rows), read_back(path)]], {}, format="ours", pack=True
-    )
+    parts = [table(rows), read_back(path)]
+    write_tables(tmp_path / "all.h5", [parts], {}, format="ours", pack=True)
     whole = Table.digest(Table.joined([table(rows), table()]))
-    assert (
-        Table.digest(read_back(tmp_path / "all.h5")) == Table.digest(table(rows), table()) == whole
-    )
-
-
-def test_tables_of_other_sizes_are_not_appended(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidInput, match=r"differ: points is float64 \(4, 3\) in one and float64 \(5, 3\)"
-    ):
+    assert Table.digest(read_back(tmp_path / "all.h5")) == Table.digest(*parts) == whole
+    with pytest.raises(InvalidInput, match=r"points is float64 \(4, 3\) in one and float64 \(5,"):
         Table.joined([table(beads=4), table(beads=5)])
 
 
 def test_an_optional_column_is_kept_if_all_parts_have_it() -> None:
     scored = Table(SCHEMA, {**table(), "score": np.ones(5, np.float32)})
-    assert "score" in Table.joined([scored, scored]) and "score" not in Table.joined(
-        [scored, table()]
-    )
+    assert "score" in Table.joined([scored, scored])
+    assert "score" not in Table.joined([scored, table()])
 
 
 def test_padded_columns_get_the_longest_length(tmp_path: Path) -> None:
@@ -104,28 +89,19 @@ def test_padded_columns_get_the_longest_length(tmp_path: Path) -> None:
 
 
 def test_a_table_is_filled_with_values_that_say_unknown() -> None:
-    schema = Schema(
-        "",
-        (
-            Column("a", "int64"),
-            Column("name", "text", optional=True),
-            Column("score", "float64", ("wide",), optional=True),
-            Column("row", "int64", optional=True),
-        ),
-        sizes=(("wide", 2),),
-    )
+    columns = [
+        Column("a", "int64"),
+        Column("name", "text", optional=True),
+        Column("score", "float64", ("wide",), optional=True),
+        Column("row", "int64", optional=True),
+    ]
+    schema = Schema("", (*columns,), sizes=(("wide", 2),))
     whole = Table(schema, {"a": np.arange(3)}).filled(schema)
     assert whole["name"].tolist() == [""] * 3 and whole["row"].tolist() == [-1] * 3
     assert whole["score"].shape == (3, 2) and np.isnan(whole["score"]).all()
-    steps = Schema("", (Column("a", "int64"), Column("steps", "int64", optional=True, least=0)))
+    steps = Schema("", (columns[0], Column("steps", "int64", optional=True, least=0)))
     with pytest.raises(InvalidInput, match="column steps is missing"):
         Table(steps, {"a": np.arange(3)}).filled(steps)
-
-
-def test_derived_columns_are_computed_by_the_schema() -> None:
-    schema = Schema("", (Column("a", "int64"), Column("square", "int64", derived=lambda a: a * a)))
-    assert schema.derive(7) == {"square": 49}
-    assert [column.name for column in schema.without("a", "other").columns] == ["square"]
 
 
 def test_sizes_of_columns_that_are_left_out_do_not_count() -> None:
@@ -152,21 +128,12 @@ def test_rows_and_columns_are_taken_in_the_order_given() -> None:
 
 
 def test_the_digest_depends_on_names_types_shapes_and_values() -> None:
-    schema = Schema("", (Column("a", "int64"),))
     others = [
-        table().take([0]),
-        Table(schema, {"a": np.arange(2)}),
-        Table(schema, {"a": np.arange(3)}),
-        Table(Schema("", (Column("b", "int64"),)), {"b": np.arange(2)}),
-        Table(Schema("", (Column("a", "uint64"),)), {"a": np.arange(2, dtype=np.uint64)}),
+        Table(Schema("", (Column(name, dtype),)), {name: np.arange(rows, dtype=dtype)})
+        for name, dtype, rows in (("a", "int64", 2), ("a", "int64", 3), ("b", "int64", 2))
+        + (("a", "uint64", 2),)
     ]
-    assert len({Table.digest(one) for one in others}) == len(others)
-
-
-def test_columns_to_fill_have_the_schemas_types_and_shapes() -> None:
-    empty = SCHEMA.sized(beads=4).empty(2)
-    assert empty["points"].shape == (2, 4, 3) and empty["score"].dtype == np.float32
-    assert "code" not in empty and "code" in SCHEMA.sized(beads=4).empty(0)
+    assert len({Table.digest(one) for one in (table().take([0]), *others)}) == 5
 
 
 @pytest.mark.parametrize(
@@ -206,22 +173,15 @@ HARMED: dict[
 ] = {  # what takes the place of the column source/seed, and the complaint
     "missing": (lambda file: None, "source/seed is missing"),
     "renamed": (lambda file: file["rows"].move("code", "source/seed"), "seed is text .* int64"),
-    "narrower": (stored(np.arange(5, dtype="i4")), "seed is int32"),
     "big-endian": (stored(np.arange(5, dtype=">i8")), "seed is >i8"),
     "compound": (stored(np.zeros(5, "i4,f8")), "seed is"),
-    "objects": (stored(["a"] * 5), "seed is object, should be int64"),
     "references": (typed(h5py.ref_dtype), "seed is object"),
     "enumeration": (typed(h5py.enum_dtype({"a": 0}, "i8")), "seed is int64, should be int64"),
-    "arrays": (typed(np.dtype((np.int64, (2,)))), "seed is"),
     "scalar": (stored(np.int64(3)), r"seed is int64 \(\)"),
     "nothing": (stored(h5py.Empty("i8")), "source/seed should be a dataset"),
     "shorter": (stored(np.arange(4)), r"int64 \(4,\), should be int64 \(5,\)"),
     "too small": (stored(np.arange(5) - 2), "seed holds -2, should be at least 0"),
     "a group": (lambda file: file["rows"].create_group("source/seed"), "should be a dataset"),
-    "linked outside": (
-        lambda file: file["rows/source"].update({"seed": h5py.ExternalLink("o.h5", "/n")}),
-        "source/seed is missing",
-    ),
     "linked": (
         lambda file: file["rows/source"].update({"seed": h5py.SoftLink("/rows/done")}),
         "source/seed is missing",
@@ -255,9 +215,7 @@ HARMED: dict[
     ),
     "another version": (lambda file: file.attrs.update(format_version=2), "version 2; .* 1"),
     "a boolean version": (lambda file: file.attrs.update(format_version=True), "version True"),
-    "no format": (lambda file: file.attrs.pop("format"), "format None"),
     "attribute of any length": (lambda file: file.attrs.update(n="a"), "attribute n is object"),
-    "attribute of many": (lambda file: file.attrs.update(n=["a", "b"]), "attribute n is"),
     "attribute to a terminal": (
         lambda file: file.attrs.update(n=np.bytes_("\x1b")),
         "control characters",

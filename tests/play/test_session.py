@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy, Occupied
+from knotgym.common import InvalidFile, InvalidInput, Occupied
 from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
 from knotgym.envs import TaskConfig
@@ -70,11 +70,6 @@ def test_a_bead_is_led_to_a_point_and_left_there(session: Session) -> None:
         pass
     assert 1 <= len(session.pulls) < TASK.horizon
     assert np.linalg.norm(session.points[20] - target) < 0.013
-
-
-def test_an_unknown_policy_is_one_line(session: Session) -> None:
-    with pytest.raises(InvalidPolicy, match="no policy 'nobody'"):
-        session.let_act(PolicyConfig(policy="nobody"))
 
 
 def test_a_recording_is_a_dataset(session: Session, recorder: Recorder) -> None:

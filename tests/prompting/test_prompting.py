@@ -102,13 +102,16 @@ def test_wrong_answers_are_counted_apart_and_leave_the_rope_alone(tmp_path: Path
     assert result["answers"]["valid"] == 1 and result["retries"] == {}
 
 
-def test_truncation_and_unknown_usage_stand_in_transcript_and_summary(tmp_path: Path) -> None:
-    message = {"index": 0, "message": {"content": PULL}, "finish_reason": "length"}
-    server = ChatServer(always(("body", json.dumps({"choices": [message], "usage": None}))))
+def test_truncation_reasoning_and_unknown_usage_stand_in_transcript_and_summary(
+    tmp_path: Path,
+) -> None:
+    message = {"index": 0, "message": {"content": PULL, "reasoning_content": "so"}}
+    body = {"choices": [message | {"finish_reason": "length"}], "usage": None}
+    server = ChatServer(always(("body", json.dumps(body))))
     ((told,), result) = played(server, tmp_path / "run", "open")
-    assert told["turns"][0]["finish"] == "length" and result["truncated"] == 1
-    assert told["prompt_tokens"] is None
-    assert result["prompt_tokens"] is None
+    (turn,) = told["turns"]
+    assert (turn["finish"], turn["reasoning"], result["truncated"]) == ("length", "so", 1)
+    assert told["prompt_tokens"] is result["prompt_tokens"] is None
 
 
 def test_a_run_is_resumed_and_the_key_is_nowhere(tmp_path: Path) -> None:
@@ -177,15 +180,6 @@ def test_a_server_that_rejects_every_request_ends_the_run_until_restarted(tmp_pa
         mended[0] = True
         run_prompts(own, out, RunOptions(quiet=True, restart=True))
     assert json.loads((out / "result.json").read_text())["answers"] == {"valid": 120}
-
-
-def test_empty_answers_are_counted_under_their_own_name(tmp_path: Path) -> None:
-    message = {"content": None, "reasoning_content": PULL}
-    one = {"index": 0, "message": message, "finish_reason": "stop"}
-    server = ChatServer(always(("body", json.dumps({"choices": [one]}))))
-    ((told,), result) = played(server, tmp_path / "run", "open")
-    assert result["answers"] == {"empty": 1} and result["retries"] == {"empty": 1}
-    assert told["turns"][0]["reasoning"] == PULL and told["turns"][0]["answer"] == ""
 
 
 def test_side_by_side_gives_the_same_transcripts(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from knotgym.quality.measures import base_spacing, noise_survival
 from knotgym.rendering import PictureConfig
 from knotgym.rope import Rope
 from knotgym.states import read_states, shipped
-from knotgym.topology import find_crossings
+from knotgym.topology import Symmetry, find_crossings
 
 from ..conftest import curled
 
@@ -58,8 +58,7 @@ def circle(radius: float, vertices: int = 400) -> NDArray[np.float64]:
 def lowered() -> NDArray[np.float64]:
     """Return the zigzag with its right half at half its height."""
     points = zigzag()
-    points[points[:, 0] > 0, 2] *= 0.5
-    return points
+    return points * np.where(points[:, :1] > 0, (1, 1, 0.5), 1)
 
 
 SHIPPED = read_states(shipped(), images=False)
@@ -96,6 +95,8 @@ LANE = drawn([(-40, 2.5, 0), (40, 2.5, 0), (40, -2.5, 0), (-40, -2.5, 0)])
         ("writhe", zigzag(), 0, 0),
         ("smallest_region", EYE, 0, 0),
         ("smallest_face", circle(40), math.pi * 40**2, 1),
+        # the triangle at either end, 20 wide and 20 high; off by a quarter of its perimeter
+        ("smallest_face", zigzag(), 200, 5 + math.hypot(20, 10) / 2),
     ],
 )
 def test_a_measure_is_that_of_the_curve_that_was_drawn(
@@ -120,10 +121,6 @@ def test_base_spacing_from_another_vertex_is_that_of_the_renumbered_rope() -> No
         assert base_spacing(points, find_crossings(points), roll) == pytest.approx(
             measure(renumbered).base_spacing, abs=1e-9
         )
-
-
-def test_strands_are_not_close_where_they_cross() -> None:
-    assert measure(bow_tie(30, 15)).strand_spacing > 2
 
 
 def spacing_by_graph(points: NDArray[np.float64], walk: float) -> float:
@@ -204,11 +201,6 @@ def test_excess_crossing_number_is_left_out_when_quick() -> None:
     ) == replace(whole, noise_survival=0.0)
 
 
-def test_the_smallest_face_has_the_area_that_was_drawn() -> None:
-    perimeter = 20 + 2 * math.hypot(20, 10)  # of the triangle at either end, 20 wide and 20 high
-    assert measure(zigzag()).smallest_face == pytest.approx(200, abs=0.25 * perimeter)
-
-
 @pytest.mark.parametrize("scale", [1, 2])
 def test_the_smallest_region_is_the_background_left_beside_the_rope(scale: int) -> None:
     config = replace(PictureConfig(), size=scale * PictureConfig().size)
@@ -220,20 +212,9 @@ def test_the_smallest_region_is_the_background_left_beside_the_rope(scale: int) 
 @pytest.mark.parametrize("nx", range(5))
 def test_a_turn_about_z_changes_no_length_and_no_angle(rope: Rope, nx: int) -> None:
     points = rope.from_curve(curled(nx, 0.4))
-    turned = points @ np.array(
-        [[np.cos(0.7), np.sin(0.7), 0], [-np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]]
-    )
-    one, other = measure(points), measure(turned)
-    for name in (
-        "crossing_angle",
-        "crossing_spacing",
-        "base_spacing",
-        "strand_spacing",
-        "clearance",
-        "excess_crossing_number",
-        "total_curvature",
-    ):
-        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6, abs=1e-6), name
+    one, other = vars(measure(points)), vars(measure(Symmetry(turn=0.7).vertices(points)))
+    for name in one.keys() - {"margin", "smallest_region", "smallest_face", "noise_survival"}:
+        assert one[name] == pytest.approx(other[name], rel=1e-6, abs=1e-6), name
 
 
 def test_a_crossing_at_the_end_of_the_walk_does_not_survive_reset_noise(rope: Rope) -> None:
@@ -246,10 +227,6 @@ def test_a_crossing_at_the_end_of_the_walk_does_not_survive_reset_noise(rope: Ro
         for by in (int(np.round(nearest)), 0)
     ]
     assert survives[0] < 0.9 < survives[1]
-
-
-def test_a_perfect_state_has_no_faults() -> None:
-    assert all(limits.faults(PERFECT, 3) == [] for limits in LIMITS)
 
 
 MAXIMA = ("excess_crossing_number", "total_curvature", "curvature_per_crossing")
@@ -272,12 +249,6 @@ def test_a_measure_beyond_its_limit_is_named_and_one_at_it_is_not(
     worse = bound + (1e-3 if name in MAXIMA else -1e-3)
     assert limits.faults(replace(PERFECT, **{measured: bound}), 3) == []
     assert limits.faults(replace(PERFECT, **{measured: worse}), 3) == [name]
-
-
-def test_more_crossings_may_turn_more() -> None:
-    twisted = replace(PERFECT, total_curvature=5.0)
-    assert Limits().faults(twisted, 1) == ["curvature_per_crossing"]
-    assert Limits().faults(twisted, 2) == []
 
 
 def test_what_was_not_measured_is_no_fault() -> None:

@@ -80,6 +80,14 @@ RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {
     "evaluate.json": evaluated,
     "states": made_states,
 }
+
+
+def content(out: Path) -> dict[str, bytes]:
+    """The bytes of each file of an output."""
+    files = [out] if out.is_file() else sorted(path for path in out.rglob("*") if path.is_file())
+    return {path.relative_to(out.parent).as_posix(): path.read_bytes() for path in files}
+
+
 if find_spec("pyarrow") is not None:
     RECIPES["images"] = made_images
 

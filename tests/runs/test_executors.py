@@ -21,7 +21,7 @@ from knotgym.runs.run_options import RunOptions
 
 from ..scripts import ROOT
 from ..small_job import SECONDS
-from .recipes import RECIPES
+from .recipes import RECIPES, content
 
 with_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed"
@@ -43,11 +43,6 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
     words = [sys.executable, "-c", f"from {__name__} import _print_interruptible as told; told()"]
     told = subprocess.run(words, capture_output=True, text=True, timeout=SECONDS).stdout
     assert json.loads(told) == [False, False, True]
-
-
-def test_a_cluster_has_its_own_workers() -> None:
-    with pytest.raises(InvalidInput, match="--workers 2 is for local processes"):
-        RunOptions(scheduler="tcp://a:1", workers=2)
 
 
 def on(scheduler: str) -> RunOptions:
@@ -115,7 +110,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
         began = [dask.worker(), dask.worker()]
         patch.setattr(Journal, "__setitem__", kill_one)
         there = RECIPES[name](tmp_path / "there" / name, on(dask.address()))
-    assert bytes_of(there) == bytes_of(here)
+    assert content(there) == content(here)
 
 
 @with_dask
@@ -143,8 +138,3 @@ def test_a_worker_of_another_version_is_one_line(tmp_path: Path) -> None:
         dask.worker("--preload", str(tmp_path / "other.py"))
         with pytest.raises(InvalidInput, match="a worker of the cluster has other versions"):
             RECIPES["toy"](tmp_path / "a", on(dask.address()))
-
-
-def bytes_of(out: Path) -> dict[str, bytes]:
-    files = [out] if out.is_file() else sorted(path for path in out.rglob("*") if path.is_file())
-    return {path.relative_to(out.parent).as_posix(): path.read_bytes() for path in files}

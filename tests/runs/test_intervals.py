@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from knotgym.runs.intervals import cluster_interval, wilson
 
 STARTS, GOALS, EPISODES = 20, 9, 256  # of a cell of the benchmark whose goals are plain loops
-Interval = Callable[[list[int], list[int], list[int]], tuple[float, float]]
 
 
 @pytest.mark.parametrize(
@@ -78,14 +76,12 @@ def test_trainings_that_differ_make_it_wider() -> None:
     assert of_both[0] < of_states[0] < 0.5 < of_states[1] < of_both[1]
 
 
-def coverage(
-    interval: Interval, spread: float, odds: float, most_goals: int = GOALS, cells: int = 300
-) -> float:
+def coverage(spread: float, odds: float, most_goals: int, cells: int = 300) -> float:
     """How often the interval holds the mean success rate over all starts and goals."""
     rng = np.random.default_rng(0)
     effects = rng.normal(size=400_000) * spread * math.hypot(1, 0.5)
     rate = float((1 / (1 + np.exp(-odds - effects))).mean())
-    found = (interval(*drawn(rng, spread, odds, most_goals)) for _ in range(cells))
+    found = (cluster_interval(*drawn(rng, spread, odds, most_goals)) for _ in range(cells))
     return sum(low <= rate <= high for low, high in found) / cells
 
 
@@ -96,12 +92,4 @@ def coverage(
 def test_it_holds_the_rate_of_all_states_in_19_of_20_cells_or_nearly(
     spread: float, odds: float, most_goals: int
 ) -> None:
-    assert coverage(cluster_interval, spread, odds, most_goals) > 0.92
-
-
-@pytest.mark.slow
-def test_wilson_s_does_not_where_states_differ() -> None:
-    def of_episodes(success: list[int], starts: list[int], goals: list[int]) -> tuple[float, float]:
-        return wilson(sum(success), len(success))
-
-    assert coverage(of_episodes, 1.0, -1.0) < 0.75
+    assert coverage(spread, odds, most_goals) > 0.92

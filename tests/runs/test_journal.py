@@ -5,7 +5,7 @@ import os
 import random
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import pytest
@@ -148,13 +148,6 @@ def test_objects_are_not_kept(tmp_path: Path) -> None:
         assert journal.is_empty
 
 
-def planted(path: Path, head: bytes, content: bytes = bytes(64), kind: int = 0) -> None:
-    """Write an archive whose array has this header."""
-    head = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
-    with ZipFile(path, "w", kind) as archive:
-        archive.writestr("x.npy", head + content)
-
-
 @pytest.mark.parametrize(
     "head",
     [
@@ -163,25 +156,20 @@ def planted(path: Path, head: bytes, content: bytes = bytes(64), kind: int = 0) 
         "__import__('os').system('touch owned')",
         "{'descr': '|O', 'fortran_order': False, 'shape': (8,)}",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (80,)}",
-        "{'descr': '<f8', 'fortran_order': False, 'shape': (-8,)}",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (-2, -4)}",
         "{'descr': '<f8', 'fortran_order': True, 'shape': (2, 4)}",
         "{'descr': [('a', '<f8'), ('b', '|O')], 'fortran_order': False, 'shape': (4,)}",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (2305843009213693952, 8)}",
+        "{'descr': '|u1', 'fortran_order': False, 'shape': (100000000,)}",  # expands to it
         "(" * 10_000,
     ],
 )
 def test_an_archive_that_no_run_writes_is_missing(head: str, tmp_path: Path) -> None:
     written(tmp_path / "j", keys=1)
-    planted(tmp_path / "j/a.npz", head.encode())
-    with Journal(tmp_path / "j", RUN) as journal:
-        assert list(journal) == ["part 0"]
-
-
-def test_an_archive_that_would_expand_is_not_read(tmp_path: Path) -> None:
-    written(tmp_path / "j", keys=1)
-    head = b"{'descr': '|u1', 'fortran_order': False, 'shape': (100000000,)}"
-    planted(tmp_path / "j/a.npz", head, bytes(100_000_000), ZIP_DEFLATED)
+    expands = "100000000" in head
+    whole = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head.encode()
+    with ZipFile(tmp_path / "j/a.npz", "w", ZIP_DEFLATED if expands else ZIP_STORED) as archive:
+        archive.writestr("x.npy", whole + bytes(100_000_000 if expands else 64))
     with Journal(tmp_path / "j", RUN) as journal:
         assert list(journal) == ["part 0"]
 
@@ -190,9 +178,7 @@ def test_an_archive_that_would_expand_is_not_read(tmp_path: Path) -> None:
     "head",
     [
         b"",
-        b"hello",
         b"5",
-        b"[]",
         b"{}",
         b'{"run": 3}',
         b'{"format": "knotgym journal", "format_version": 1, "run": {"config": {"seed": 0}}}',

@@ -30,7 +30,7 @@ from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.runs.runner import Call, Recipe, _staging_folder, compute, run
 
 from ..scripts import ROOT
-from .recipes import RECIPES, drawn, made_toy, toy
+from .recipes import RECIPES, content, drawn, made_toy, toy
 
 QUIET = RunOptions(workers=1, quiet=True)
 RESUMED = replace(QUIET, resume=True)
@@ -41,11 +41,6 @@ every_recipe = pytest.mark.parametrize(
     [pytest.param(name, marks=() if name == "toy" else pytest.mark.slow) for name in RECIPES],
 )
 Unbroken = Callable[[str], dict[str, bytes]]
-
-
-def content(out: Path) -> dict[str, bytes]:
-    files = [out] if out.is_file() else sorted(path for path in out.rglob("*") if path.is_file())
-    return {path.relative_to(out.parent).as_posix(): path.read_bytes() for path in files}
 
 
 @pytest.fixture(scope="module")
@@ -235,24 +230,12 @@ def test_a_run_digests_what_its_fields_name_and_never_replaces_it(tmp_path: Path
         identity(Reading(str(tmp_path / "none.h5")), fields={})
 
 
-def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
-    def recipe(_: Path) -> Recipe[None]:
-        with pytest.raises(Occupied, match="another run is writing"):
-            made_toy(tmp_path / "a", RESUMED)
-        yield [Call("one 1", drawn, (0, 0, 1.0))]
-        raise Failed("enough")
-
-    with pytest.raises(Failed, match="enough"):
-        run(recipe, tmp_path / "a", Identity(), QUIET)
-
-
 @pytest.mark.parametrize("existing", [QUIET, RESUMED, replace(QUIET, restart=True)])
-@pytest.mark.parametrize("count", [2, 8])
 def test_of_several_that_begin_at_the_same_moment_one_makes_the_output(
-    count: int, existing: RunOptions, tmp_path: Path, unbroken: Unbroken
+    existing: RunOptions, tmp_path: Path, unbroken: Unbroken
 ) -> None:
     """Locks are of open files, so threads stand for processes."""
-    for number in range(10):
+    for number, count in enumerate([2, 8] * 5):
         out, start = tmp_path / str(number) / "toy", Barrier(count)
 
         def begin(_: int, out: Path = out, start: Barrier = start) -> str:
@@ -268,14 +251,6 @@ def test_of_several_that_begin_at_the_same_moment_one_makes_the_output(
         assert {word.partition(":")[0] for word in ended} <= {str(out), "refused"}
         assert content(out) == unbroken("toy")
         assert list(out.parent.iterdir()) == [out]
-
-
-def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path) -> None:
-    (tmp_path / "other").mkdir()
-    _staging_folder(tmp_path / "a").symlink_to(tmp_path / "other")
-    with pytest.raises(Occupied, match="is a link"):
-        made_toy(tmp_path / "a", QUIET)
-    assert list((tmp_path / "other").iterdir()) == []
 
 
 def test_no_other_user_can_plant_files_in_the_folder(tmp_path: Path) -> None:

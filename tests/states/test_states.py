@@ -20,14 +20,6 @@ from knotgym.states.state_file import States, merge_states, read_states, write_s
 from knotgym.topology import GaussCode, Symmetry, canonical
 
 
-@pytest.fixture
-def copy(states_path: str, tmp_path: Path) -> Path:
-    """A state file to do harm to."""
-    path = tmp_path / "copy.h5"
-    path.write_bytes(Path(states_path).read_bytes())
-    return path
-
-
 def test_states_come_back_as_written(states: States, states_path: str) -> None:
     read = read_states(states_path)
     assert Table.digest(read.table) == Table.digest(states.table) == read.digest
@@ -61,21 +53,6 @@ def test_codes_and_origin_are_completed(states: States) -> None:
     full = States.of({**bare, "gauss_code_chiral": states.gauss_code_chiral})
     assert np.array_equal(full.pd_code, states.pd_code)
     assert set(full.source["dataset"]) == {""} and set(full.source["trajectory"]) == {-1}
-
-
-def test_flipped_bytes_are_read_as_written_or_refused(copy: Path, states: States) -> None:
-    raw, rng = copy.read_bytes(), np.random.default_rng(0)
-    refused = 0
-    for _ in range(60):
-        harmed = bytearray(raw)
-        for at in rng.integers(0, len(raw), 20):
-            harmed[at] = int(rng.integers(256))
-        copy.write_bytes(harmed)
-        try:
-            assert len(read_states(copy)) == len(states)
-        except InvalidFile:
-            refused += 1
-    assert refused > 50
 
 
 def test_merged_states_are_sorted_by_nx_and_keep_all_configurations(states: States) -> None:
@@ -131,27 +108,25 @@ def test_vertices_are_laid_the_same_on_processors_with_other_instructions() -> N
     assert told[0].stdout == told[1].stdout != b""
 
 
-@pytest.mark.parametrize(("name", "nx"), [(s, nx) for s in SETS for nx in (2, 3, 4, 7)])
-def test_splits_by_code_share_no_diagram_and_are_parts_of_the_splits(name: str, nx: int) -> None:
+@pytest.mark.parametrize("name", SETS)
+def test_splits_by_code_share_no_diagram_and_are_parts_of_the_splits(name: str) -> None:
     states = read_states(shipped(name), images=False)
-    train, test = states.rows(nx, "train-code"), states.rows(nx, "test-code")
-    assert {*train} <= {*states.rows(nx, "train")} and {*test} <= {*states.rows(nx, "test")}
-    diagrams = [
-        {
-            canonical(GaussCode.parse(code), Symmetry.DIAGRAM)
-            for code in states.gauss_code[rows].tolist()
-        }
-        for rows in (train, test)
-    ]
-    assert not diagrams[0] & diagrams[1]
-    if name != "hard-unknots" and nx < 7:
-        assert len(train) >= 10 and len(test) >= 1
-
-
-def test_loops_and_curls_are_in_both_splits_by_code() -> None:
-    states = read_states(shipped(), images=False)
-    for nx in (0, 1):
-        assert np.array_equal(states.rows(nx, "test-code"), states.rows(nx, "test"))
+    for nx in (0, 1, 2, 3, 4, 7):
+        train, test = states.rows(nx, "train-code"), states.rows(nx, "test-code")
+        assert {*train} <= {*states.rows(nx, "train")} and {*test} <= {*states.rows(nx, "test")}
+        if nx < 2:  # loops and curls have no other diagram
+            assert np.array_equal(test, states.rows(nx, "test"))
+            continue
+        diagrams = [
+            {
+                canonical(GaussCode.parse(code), Symmetry.DIAGRAM)
+                for code in states.gauss_code[rows].tolist()
+            }
+            for rows in (train, test)
+        ]
+        assert not diagrams[0] & diagrams[1]
+        if name != "hard-unknots" and nx < 7:
+            assert len(train) >= 10 and len(test) >= 1
 
 
 def test_states_of_closed_curves_whose_first_point_is_repeated_have_no_bead_more() -> None:
