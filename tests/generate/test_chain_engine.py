@@ -13,12 +13,6 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.envs import TaskConfig
-from knotgym.runs import RunOptions
-
-QUIET = RunOptions(workers=1, quiet=True)
-TASK = TaskConfig(task="tie", nx=2, observation="state", horizon=5, engine="chain")
-
 
 def test_an_action_that_is_taken_back_shows_in_info() -> None:
     env: Any = gym.make("knotgym/Tie-v0", nx=2, engine="chain", observation="state").unwrapped

@@ -17,12 +17,10 @@ from knotgym.generate.collection import _distinct_id, blocks, collect, run_facts
 from knotgym.generate.episode_configs import CollectConfig
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions
-from knotgym.states import States, write_states
 
 from ..small_job import knotgym
 
 QUIET = RunOptions(workers=1, quiet=True)
-RESUMED = replace(QUIET, resume=True)
 CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=8)
 
 
@@ -50,7 +48,8 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
 ) -> None:
     task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
     episodes = columns_of(collect(config(task=task, policy="scripted"), tmp_path, QUIET)).episodes
-    own, env = episodes.select([3]), gym.make("knotgym/Unknot-v0", **_keywords(task))
+    keywords = {name: value for name, value in vars(task).items() if name != "task"}
+    own, env = episodes.select([3]), gym.make("knotgym/Unknot-v0", **keywords)
     row = {name: own.episodes[name][0] for name in ("seed", "start", "goal")}
     for options in (None, {"start": int(row["start"]), "goal": int(row["goal"])}):
         observation, info = env.reset(seed=int(row["seed"]), options=options)
@@ -136,40 +135,17 @@ def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> N
     assert [path.parents[1] for path in tmp_path.rglob("episodes.h5")] == [folder]
 
 
-@pytest.fixture
-def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, states: States) -> CollectConfig:
-    """A collection by a module in the current folder, on states beside it."""
+def test_a_dataset_holds_the_digests_of_what_made_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, states_path: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "collected_policy", raising=False)
     (tmp_path / "collected_policy.py").write_text("act = lambda seen: [0.5] * 6\n")
-    write_states(tmp_path / "states.h5", states)
-    task = TaskConfig(task="unknot", nx=1, states=str(tmp_path / "states.h5"), horizon=2)
-    task = replace(task, observation="state")
-    return config(task=task, policy="collected_policy:act", episodes=1, dataset_id="knotgym/own-v0")
-
-
-@pytest.mark.parametrize("swapped", ["states.h5", "collected_policy.py"])
-def test_a_file_swapped_in_between_is_refused_by_name(
-    swapped: str, own_policy: CollectConfig, states: States, tmp_path: Path
-) -> None:
-    collect(own_policy, tmp_path / "out", QUIET)
-    if swapped == "states.h5":
-        write_states(tmp_path / swapped, states.take(np.arange(len(states))[::-1]))
-    else:
-        with (tmp_path / swapped).open("a") as file:
-            file.write("# changed\n")
-    name = "states.own" if swapped == "states.h5" else swapped
-    with pytest.raises(InvalidInput, match=rf"{name} is .* there and .* here"):
-        collect(own_policy, tmp_path / "out", RESUMED)
-
-
-def test_a_dataset_holds_the_digests_of_what_made_it(
-    own_policy: CollectConfig, tmp_path: Path
-) -> None:
-    folder = collect(own_policy, tmp_path / "out", QUIET)
+    task = TaskConfig(task="unknot", nx=1, states=states_path, horizon=2, observation="state")
+    folder = collect(config(task=task, policy="collected_policy:act", episodes=1), tmp_path, QUIET)
     digests = (open_episodes(folder).metadata or {})["digests"]
-    assert digests["states"] == {"own": sha256(tmp_path / "states.h5")}
+    assert digests["states"] == {"own": sha256(states_path)}
     file = "collected_policy.py"
     assert digests["policies"] == {"collected_policy:act": {file: sha256(tmp_path / file)}}
     assert digests["rope"] == RopeConfig().fingerprint
@@ -184,6 +160,7 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
         replace(usual, keep_failed=False),
         replace(usual, labels="expert"),
         replace(usual, policy=budget),
+        *(replace(usual, policy=PolicyConfig(policy=f"mine:{one}")) for one in ("act", "other")),
         *(
             replace(usual, task=replace(usual.task, **changed))
             for changed in (
@@ -201,26 +178,12 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
     assert ids[0] == "knotgym/tie-nx2/expert-v0" and len(set(ids)) == len(ids)
 
 
-def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) -> None:
-    words = ("--set", "task.max_goals=2", "--set", "task.horizon=2", "--workers", 1, "--quiet")
-    random = ("collect", "--policy", "random", "--episodes", 6, "--engine", "chain")
-    assert knotgym(*random, "--nx", "2,3", "--observation", "state", *words, "--out", tmp_path) == 0
-    for nx in (2, 3):
-        (folder,) = tmp_path.glob(f"knotgym/tie-nx{nx}/random-chain-rules*-v0")
-        made = columns_of(folder)
-        env: Any = gym.make("knotgym/Tie-v0", nx=nx, max_goals=2).unwrapped
-        assert made.task.max_goals == 2
-        assert {*made.episodes.episodes["goal"]} <= {*env.episodes.rows["goal"]}
-        entries = json.loads((folder / "data" / "metadata.json").read_text())
-        assert json.loads(entries["env_spec"])["kwargs"]["max_goals"] == 2
-        assert json.loads(entries["eval_env_spec"])["kwargs"]["max_goals"] is None
-
-
 def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    words = ("--episodes", 9, "--policy", "random", "--set", "task.horizon=2", "--engine", "chain")
+    rules = ("--set", "task.horizon=2", "--set", "task.max_goals=2")
+    words = ("--episodes", 9, "--policy", "random", "--engine", "chain", *rules)
     several = ("collect", "--task", "tie,convert", "--nx", "2,3", *words, "--observation", "state")
     assert knotgym(*several, "--quiet", "--id", "knotgym/one-v0") == 0
     assert knotgym(*several, "--quiet") == 0
@@ -228,20 +191,20 @@ def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
     assert [one.partition("/")[0] for one in apart] == [
         *("convert-nx2", "convert-nx3", "tie-nx2", "tie-nx3")
     ]
+    made = columns_of(f"knotgym/{apart[-1]}")
+    env: Any = gym.make("knotgym/Tie-v0", nx=3, max_goals=2).unwrapped
+    assert made.task.max_goals == 2
+    assert {*made.episodes.episodes["goal"]} <= {*env.episodes.rows["goal"]}
+    specs = json.loads((tmp_path / f"knotgym/{apart[-1]}/data/metadata.json").read_text())
+    limits = [
+        json.loads(specs[name])["kwargs"]["max_goals"] for name in ("env_spec", "eval_env_spec")
+    ]
+    assert limits == [2, None]
     merge([f"knotgym/{one}" for one in apart], None, "knotgym/merged-v0")
     for name in ("one", "merged"):
         assert verify(f"knotgym/{name}-v0") == []
     chosen = select("knotgym/merged-v0", tmp_path.parent / "c.h5", where="task = 'tie' and nx = 3")
     assert open_episodes(chosen).episodes.episodes.rows == 9
-
-
-def test_functions_of_one_module_get_datasets_of_their_own() -> None:
-    names = [_distinct_id(config(policy=f"mine:{one}")).split("/")[2] for one in ("act", "other")]
-    assert [name[: name.index("-chain")] for name in names] == ["mine-act", "mine-other"]
-
-
-def _keywords(task: TaskConfig) -> dict[str, Any]:
-    return {name: value for name, value in vars(task).items() if name != "task"}
 
 
 @pytest.mark.parametrize(

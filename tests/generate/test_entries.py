@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common import KnotgymError, Table, from_json, read_tables, write_tables
+from knotgym.common import KnotgymError, Table, read_tables, write_tables
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, Result, entries, evaluate, read_entry
@@ -180,9 +180,3 @@ def test_one_byte_changed_is_refused_or_without_effect(made: Made, tmp_path: Pat
         for one, other in ((entry.rows, whole.rows), (entry.pulls, whole.pulls)):
             assert all(np.array_equal(one[column], other[column]) for column in one)
     assert refused > 100
-
-
-def test_a_shard_is_no_entry(tmp_path: Path) -> None:
-    options = from_json(RunOptions, {"workers": 1, "quiet": True, "shard": "1/2"})
-    with pytest.raises(KnotgymError, match="no entry"):
-        evaluate(CONFIG, options, out=tmp_path / "a.json", record=tmp_path / "entry.h5")

@@ -1,6 +1,5 @@
 import io
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from knotgym.common import InvalidInput, InvalidPolicy, Stream, from_json, sha256
+from knotgym.common import InvalidInput, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
@@ -76,30 +75,12 @@ def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> Non
     assert one == evaluate(config(), QUIET)
 
 
-def test_a_shard_and_resuming_need_an_output() -> None:
-    for options in (
-        from_json(RunOptions, {"quiet": True, "shard": "1/3"}),
-        replace(QUIET, resume=True),
-    ):
-        with pytest.raises(InvalidInput, match="the --out of the evaluation"):
-            evaluate(config(), options)
-
-
 def test_a_finished_evaluation_is_only_shown(tmp_path: Path, monkeypatch: Any) -> None:
     first = evaluate(config(), QUIET, out=tmp_path / "r.json")
     monkeypatch.setattr(evaluating, "_play", None)
     assert evaluate(config(), replace(QUIET, resume=True), out=tmp_path / "r.json") == first
     with pytest.raises(InvalidInput, match="config.seed is 0 there and 1 here"):
         evaluate(config(seed=1), replace(QUIET, resume=True), out=tmp_path / "r.json")
-
-
-def test_what_does_not_fit_is_refused_before_any_work(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr(evaluating, "_play", None)
-    with pytest.raises(InvalidInput, match="no states with nx = 11 in split 'test'"):
-        evaluate(config(nx=(1, 11)), QUIET, out=tmp_path / "r.json")
-    with pytest.raises(InvalidPolicy, match="must be endless"):
-        evaluate(config(policies=("random", "play")), QUIET, out=tmp_path / "r.json")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_result_says_whose_states_were_used(states: States, tmp_path: Path) -> None:
@@ -142,33 +123,6 @@ def test_a_film_shows_every_view_in_colours() -> None:
     episodes = rollouts(make_policy(PolicyConfig()), task, [0])
     height, width, channels = film(episodes, task)[0].shape
     assert height > 2 * 384 and (width, channels) == (2 * 384, 3)
-
-
-@pytest.fixture
-def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> EvaluateConfig:
-    """An evaluation of a module in the current folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "scored_policy", raising=False)
-    (tmp_path / "scored_policy.py").write_text("act = lambda seen: [0.5] * 6\n")
-    return config(policies=("scored_policy:act",), episodes=1)
-
-
-def test_a_file_swapped_while_episodes_are_played_is_refused(
-    own_policy: EvaluateConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file, play = tmp_path / "scored_policy.py", evaluating._play
-    digest = sha256(file)
-    assert identity(own_policy)["source"]["policies"] == {"scored_policy:act": {file.name: digest}}
-
-    def swap(*arguments: Any) -> Any:
-        file.write_text("act = lambda seen: [0.25] * 6\n")
-        return play(*arguments)
-
-    monkeypatch.setattr(evaluating, "_play", swap)
-    with pytest.raises(InvalidInput, match=r"changed while it ran.*scored_policy\.py"):
-        evaluate(own_policy, QUIET, out=tmp_path / "r.json")
-    assert not (tmp_path / "r.json").exists()
 
 
 def test_the_command_prints_the_matrix(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,22 +12,13 @@ from knotgym.topology import GaussCode, codes_of
 
 EIGHT = list(codes_of("0_1", 2))
 
-kinds = st.lists(st.integers(0, 7), min_size=1, max_size=60)
-shares = st.floats(0, 1)
-seeds = st.integers(0, 2**32)
 
-
-@given(kinds, shares, seeds)
-def test_the_train_share_is_met_within_one_state(drawn: list[int], share: float, seed: int) -> None:
-    out = _split([EIGHT[k] for k in drawn], share, np.random.default_rng(seed))
-    assert set(out) <= {"train", "test"} and abs((out == "train").sum() - share * len(drawn)) <= 1
-
-
-@given(kinds, shares, seeds)
-def test_the_train_share_of_each_code_is_met_within_one_state(
+@given(st.lists(st.integers(0, 7), min_size=1, max_size=60), st.floats(0, 1), st.integers(0, 2**32))
+def test_the_train_share_of_all_and_of_each_code_is_met_within_one_state(
     drawn: list[int], share: float, seed: int
 ) -> None:
     out = _split([EIGHT[k] for k in drawn], share, np.random.default_rng(seed))
+    assert set(out) <= {"train", "test"} and abs((out == "train").sum() - share * len(drawn)) <= 1
     for kind, count in Counter(drawn).items():
         train = sum(one == "train" for one, k in zip(out, drawn, strict=True) if k == kind)
         assert abs(train - share * count) <= 1
