@@ -12,6 +12,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common import inner
+from knotgym.drawing.portable import angle_of, sin_cos
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -62,6 +65,14 @@ def _flowers(triangles: Integers, nodes: int) -> tuple[Integers, Integers]:
     return first, np.array(petals, dtype=np.int64)
 
 
+@inner
+def _between(one: float, own: float, other: float) -> float:
+    """Return the angle at a circle of radius `own` between two that touch it and each other."""
+    # by the law of cosines, sin^2(angle / 2) = a / (r + a) * b / (r + b)
+    square = one / (own + one) * other / (own + other)
+    return float(2 * angle_of(np.sqrt(1 - square), np.sqrt(square)))
+
+
 @numba.njit(cache=True, nogil=True)
 def _radii(first: Integers, petals: Integers, inner: NDArray[np.bool_]) -> Array:
     """Compute the radii, float64 (nodes,), for which the angles at each inner node sum to 2 pi."""
@@ -76,14 +87,12 @@ def _radii(first: Integers, petals: Integers, inner: NDArray[np.bool_]) -> Array
             before = radii[petals[first[node + 1] - 1]]
             for k in range(first[node], first[node + 1]):
                 after = radii[petals[k]]
-                # The angle at radius r between tangent circles of radii a and b:
-                # sin^2(angle / 2) = a / (r + a) * b / (r + b), by the law of cosines.
-                turn += 2 * np.arcsin(np.sqrt(before / (own + before) * after / (own + after)))
+                turn += _between(before, own, after)
                 before = after
             worst = max(worst, abs(turn - 2 * np.pi))
             # Uniform-neighbour model: `count` equal circles with the same angle sum would have the
             # radius beta / (1 - beta) * own. Inside them, this new radius makes the sum 2 pi.
-            beta, delta = np.sin(turn / (2 * count)), np.sin(np.pi / count)
+            beta, delta = sin_cos(turn / (2 * count))[0], sin_cos(np.pi / count)[0]
             radii[node] = beta / (1 - beta) * own * (1 - delta) / delta
         if worst < _TOLERANCE:
             break
@@ -119,15 +128,16 @@ def _laid_out(
         while not placed[petals[begin + known_petal]]:
             known_petal += 1
         own, before = radii[node], petals[begin + known_petal]
-        angle = np.arctan2(at[before, 1] - at[node, 1], at[before, 0] - at[node, 0])
+        angle = angle_of(at[before, 0] - at[node, 0], at[before, 1] - at[node, 1])
         for k in range(1, count):
             petal = petals[begin + (known_petal + k) % count]
             one, two = radii[before], radii[petal]
-            angle += 2 * np.arcsin(np.sqrt(one / (own + one) * two / (own + two)))
+            angle += _between(one, own, two)
             if not placed[petal]:
                 placed[petal] = True
-                at[petal, 0] = at[node, 0] + (own + two) * np.cos(angle)
-                at[petal, 1] = at[node, 1] + (own + two) * np.sin(angle)
+                sine, cosine = sin_cos(angle)
+                at[petal, 0] = at[node, 0] + (own + two) * cosine
+                at[petal, 1] = at[node, 1] + (own + two) * sine
                 queue[known] = petal
                 known += 1
             before = petal

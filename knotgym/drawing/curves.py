@@ -9,8 +9,6 @@ After a change run `pytest tests/drawing`, then `knotgym generate --no-demonstra
 --every-code 1`: all 401 codes must be drawn.
 """
 
-import math
-
 import numpy as np
 
 from knotgym.common import Failed, InvalidInput
@@ -18,6 +16,7 @@ from knotgym.drawing.circle_packing import pack_circles
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.layout_relaxation import Integers, relax_layout
 from knotgym.drawing.planar_map import planar_map
+from knotgym.drawing.portable import exp, sin_cos
 from knotgym.rope import Array, Rope
 from knotgym.topology import GaussCode, faces, label, with_chirality
 
@@ -61,10 +60,10 @@ def drawn_curve(
     else:
         # the plain loop in either direction
         curve = rope.loop() * (1, rng.choice((-1, 1)), 1)
-    # row vectors are rotated, so this is the transposed rotation matrix
     turn = rng.uniform(0, 2 * np.pi)
-    turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    curve[:, :2] = curve[:, :2] @ turned
+    (sine, cosine), (x, y) = sin_cos(turn), curve.T[:2].copy()
+    # written out, because `@` rounds by processor
+    curve[:, 0], curve[:, 1] = cosine * x - sine * y, sine * x + cosine * y
     try:
         points = rope.from_curve(curve)
     except InvalidInput as error:
@@ -85,11 +84,11 @@ def _flat(
     """
     sizes = [len(walk) for walk in faces(code)]
     # a large face outside leaves the small ones room to grow inside
-    # Python's powers and exponentials, because NumPy's round by processor
+    # Python's powers, because NumPy's round by processor
     chances = np.array([size**config.outer for size in sizes])
     outer = int(rng.choice(len(sizes), p=chances / chances.sum()))
     drawn = config.uneven * rng.normal(size=len(sizes))
-    shares = np.array([math.exp(one) for one in drawn.tolist()])
+    shares = np.array([exp(one) for one in drawn.tolist()])
     shares[outer] = 0.0
     of = planar_map(code, outer)
     # the nodes on the rope come first; those inside the faces have done their work
@@ -123,7 +122,8 @@ def _lifted(
     # all edges have the same number of segments; `share` runs from 0 to 1 along each
     edge = np.repeat(np.arange(len(visits)), len(flat) // len(visits))
     share = (arc[:-1] - ends[edge]) / np.diff(ends)[edge]
-    z = tops[edge] + np.diff(tops)[edge] * (1 - np.cos(np.pi * share)) / 2
+    cosines = np.array([sin_cos(np.pi * one)[1] for one in share.tolist()])
+    z = tops[edge] + np.diff(tops)[edge] * (1 - cosines) / 2
     curve = np.column_stack([flat, z])
     # 0.45: on a short edge, the base point stays in the middle tenth
     room = min(0.45 * (ends[-1] - ends[-2]), config.base)

@@ -121,7 +121,7 @@ def _relax(
         mean_length[:] = 0.0
         for s in range(count):
             a, b = walk[s], walk[(s + 1) % count]
-            length[s] = np.hypot(at[b, 0] - at[a, 0], at[b, 1] - at[a, 1])
+            length[s] = _length(at[b, 0] - at[a, 0], at[b, 1] - at[a, 1])
             arc[s] = total
             mean_length[s // per_edge] += length[s] / per_edge
             total += length[s]
@@ -180,6 +180,12 @@ def _relax(
 
 
 @inner
+def _length(x: float, y: float) -> float:
+    # libm's hypot rounds otherwise where the processor multiplies and adds at once
+    return float(np.sqrt(x * x + y * y))
+
+
+@inner
 def _bound(
     walk: Integers, length: Array, force: Array, stiff: Array, step: float, most: float
 ) -> None:
@@ -197,7 +203,7 @@ def _bound(
     for s in range(len(walk)):
         bound = min(most, length[s] / 3)
         for node in (walk[s], walk[(s + 1) % len(walk)]):
-            far = np.hypot(force[node, 0], force[node, 1])
+            far = _length(force[node, 0], force[node, 1])
             if far > bound:
                 for c in range(2):
                     force[node, c] *= bound / far
@@ -287,7 +293,7 @@ def _square(
             c, d = walk[other - 1], walk[(other + 1) % count]
             x, y = at[b, 0] - at[a, 0], at[b, 1] - at[a, 1]
             u, v = at[d, 0] - at[c, 0], at[d, 1] - at[c, 1]
-            long, across = np.hypot(x, y), np.hypot(u, v)
+            long, across = _length(x, y), _length(u, v)
             cosine = (x * u + y * v) / (long * across)
             strength = 2 * crossing * cosine / long
             turn_x = strength * (u / across - cosine * x / long)
@@ -339,7 +345,7 @@ def _repel(
             u, v = u - along * x, v - along * y
             if u * u + v * v > (1 + 1e-9) * reach * reach:
                 continue
-            far = np.hypot(u, v)
+            far = _length(u, v)
             if far >= reach:
                 continue
             pairs[found, 0], pairs[found, 1] = node, s
