@@ -27,9 +27,8 @@ def policy_folder(name: str) -> Path:
 def write_card(folder: Path, facts: dict[str, Any]) -> None:
     """Write `policy.json` of a learner's folder, with its format and digest."""
     card = {"format": FORMAT, "format_version": FORMAT_VERSION, **facts}
-    card["digest"] = _card_digest(card)
     with atomic_write(folder / CARD) as part:
-        part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+        part.write_text(_card_text(card), encoding="utf-8")
 
 
 def read_card(folder: Path) -> dict[str, Any]:
@@ -52,12 +51,13 @@ def read_card(folder: Path) -> dict[str, Any]:
             f"{folder / CARD} has format version {version!r}; this version of knotgym reads"
             f" {FORMAT_VERSION}: train again"
         )
-    if card.get("digest") != _card_digest(card):
+    if (folder / CARD).read_bytes() != _card_text(card).encode():
         raise InvalidFile(f"{folder / CARD} doesn't match its own digest: it was changed")
     return card
 
 
-def _card_digest(card: dict[str, Any]) -> str:
-    """Return the SHA-256 of a learner's card without its `digest`."""
+def _card_text(card: dict[str, Any]) -> str:
+    """Return a learner's card as its file has it; `digest` is the SHA-256 of all else."""
     fields = {name: value for name, value in card.items() if name != "digest"}
-    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+    digest = hashlib.sha256(json.dumps(fields).encode()).hexdigest()
+    return json.dumps({**fields, "digest": digest}, indent=1) + "\n"

@@ -38,11 +38,9 @@ def weights(folder: Path) -> bytes:
 
 def put_card(folder: Path, **fields: object) -> None:
     """Change fields of a learner's card, as who can write its digest, too."""
-    from knotgym.learn.card import _card_digest
+    from knotgym.learn.card import write_card
 
-    card = {**json.loads((folder / "policy.json").read_text()), **fields}
-    card["digest"] = _card_digest(card)
-    (folder / "policy.json").write_text(json.dumps(card))
+    write_card(folder, {**json.loads((folder / "policy.json").read_text()), **fields})
 
 
 @pytest.fixture(scope="session")

@@ -51,9 +51,14 @@ def test_cards_of_other_formats_are_refused(
     assert says in said and said.isprintable()
 
 
-def test_a_report_of_a_training_that_was_changed_is_refused(learner: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("old", "new"), [('"parameters": ', '"parameters": 1'), ('"parameters": ', '"parameters":\t')]
+)
+def test_a_card_of_which_a_byte_was_changed_is_refused(
+    learner: Path, tmp_path: Path, old: str, new: str
+) -> None:
     path = changed(learner, tmp_path) / "policy.json"
-    path.write_text(path.read_text().replace('"parameters": ', '"parameters": 1'))
+    path.write_text(path.read_text().replace(old, new))
     assert "doesn't match its own digest" in refusal(path.parent)
 
 
