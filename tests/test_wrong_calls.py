@@ -109,6 +109,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: knotgym.States.from_points(np.eye(3)[None], "eval"), "split must be train or test"),
     (lambda: draw(np.eye(3)[[0, 1, 2, 0]]), "point 3 and the next are on one spot"),
     (lambda: draw(np.eye(3)[[[0, 1, 1, 2]]]), "point 1 and the next are on one spot"),
+    (lambda: draw_diagram(np.zeros((9, 3))), "point 0 and the next are on one spot"),
     (lambda: knotgym.register_task("tie", lambda nx: (0, nx)), "a new lower-case word, got 'tie'"),
     (lambda: goal_env("tie", goals=3), "unexpected keyword argument 'goals'; there is nx, split"),
     (lambda: open_episodes("nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),

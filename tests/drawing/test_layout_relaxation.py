@@ -62,17 +62,6 @@ def test_a_force_is_minus_the_gradient_of_its_energy(name: str) -> None:
     assert np.abs(force + slope).max() < 1e-6 * np.abs(slope).max() + 1e-9
 
 
-def test_the_stiffness_bounds_the_curvature_of_a_node_by_itself() -> None:
-    force, stiff = np.zeros_like(AT), np.zeros(len(AT))
-    _stiffen(AT, WALK, lengths(AT), force, stiff, 0.0007)
-    for node in range(len(AT)):
-        for c in range(2):
-            step = np.zeros_like(AT)
-            step[node, c] = 1e-4
-            second = (bending(AT + step) - 2 * bending(AT) + bending(AT - step)) / 1e-8
-            assert second < 3 * stiff[node]
-
-
 def test_strands_that_come_close_push_each_other_equally_and_apart() -> None:
     count = len(WALK)
     arc = np.concatenate([[0.0], np.cumsum(lengths(AT))[:-1]])

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidInput
 from knotgym.rendering.camera import PictureConfig, project
 from knotgym.rendering.diagram import BACKGROUND, draw_diagram, side_of, smooth_curve
 from knotgym.states import read_states, shipped
@@ -72,8 +71,3 @@ def test_a_pull_is_an_arrow_as_long_as_the_force() -> None:
         for push in (1.0, 0.4)
     )
     assert long > short > 0
-
-
-def test_a_rope_whose_vertices_are_repeated_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="point 0 and the next are on one spot"):
-        draw_diagram(np.zeros((10, 3)))

@@ -17,32 +17,39 @@ from numpy.typing import NDArray
 
 from knotgym.rendering.camera import PictureConfig, bead_colours, project
 from knotgym.rendering.picture import draw
+from knotgym.rope import Rope
 from knotgym.states import read_states, shipped
 from knotgym.topology import find_crossings
 
 from ..scripts import ROOT
 
 Points = NDArray[np.float64]
+LOOP = Rope().loop()  # 0.2 m wide, flat
 
 
 # which strand a picture shows on top; benchmarks/truth.py counts with it
 shown_strands: Any = runpy.run_path(str(ROOT / "benchmarks" / "picture_check.py"))["shown_strands"]
 
 
+# what fresh processes begin with, as OpenGL may crash
+PRELUDE = """import os, threading
+import numpy as np
+from knotgym.common import KnotgymError
+from knotgym.rendering import PictureConfig, draw
+def show(): return draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer="mujoco"))
+"""
+
+
 def apart(code: str, *before: str, **env: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a process of its own, as OpenGL may crash."""
-    words, env = [*before, sys.executable, "-c", code], {**os.environ, **env}
+    """Run code in a process of its own, after PRELUDE."""
+    words, env = [*before, sys.executable, "-c", PRELUDE + code], {**os.environ, **env}
     return subprocess.run(words, capture_output=True, text=True, timeout=120, env=env)
 
 
 @pytest.fixture(scope="session")
 def opengl() -> None:
-    """Skip if MuJoCo's renderer can't draw; tried in another process, which may crash."""
-    code = (
-        "import numpy as np; from knotgym.rendering.picture import PictureConfig, draw;"
-        " draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
-    )
-    if apart(code).returncode != 0:
+    """Skip if MuJoCo's renderer can't draw."""
+    if apart("show()").returncode != 0:
         pytest.skip("no OpenGL context can be made here")
 
 
@@ -80,18 +87,19 @@ def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
         if not (len(columns) and len(rows)):
             continue
         window = np.ix_(rows, columns)
-        x, y = np.meshgrid(place[columns], -place[rows])
-        # The upper surface of a capsule is the highest of the spheres strung on its axis; 41 of
-        # them are exact to 0.003 mm.
-        centre = a + np.linspace(0.0, 1.0, 41)[:, None] * (b - a)
-        inside = (
-            config.rope_radius**2
-            - (x[..., None] - centre[:, 0]) ** 2
-            - (y[..., None] - centre[:, 1]) ** 2
-        )
-        surface = np.where(
-            inside >= 0.0, centre[:, 2] + np.sqrt(np.maximum(inside, 0.0)), -np.inf
-        ).max(axis=-1)
+        x, y = np.meshgrid(place[columns] - a[0], -place[rows] - a[1])
+        along, rise = (b - a)[:2], b[2] - a[2]
+        length = np.linalg.norm(along)
+        # The upper surface of a capsule is the highest of the spheres strung on its axis. At a
+        # sample beside `at`, the nearest place on the axis (0 at a, 1 at b), the sphere around t is
+        # rise t + sqrt(room - (t - at)^2 length^2) high, which has its maximum at `best`.
+        at = (x * along[0] + y * along[1]) / length**2
+        room = config.rope_radius**2 - ((x * along[1] - y * along[0]) / length) ** 2
+        best = at + rise * np.sqrt(np.maximum(room, 0)) / (length * np.hypot(length, rise))
+        best = best.clip(0, 1)
+        inside = room - ((best - at) * length) ** 2
+        surface = a[2] + best * rise + np.sqrt(np.maximum(inside, 0))
+        surface[inside < 0] = -np.inf
         higher = surface > top[window]
         top[window] = np.where(higher, surface, top[window])
         image[window] = np.where(higher[..., None], colour, image[window])
@@ -121,11 +129,6 @@ def white(beads: int) -> NDArray[np.uint8]:
     return np.full((beads, 3), 255, dtype=np.uint8)
 
 
-def ring(beads: int = 100, radius: float = 0.2) -> Points:
-    angle = 2.0 * np.pi * np.arange(beads) / beads
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(beads)], axis=1)
-
-
 # Colours
 
 
@@ -137,13 +140,6 @@ def test_the_base_bead_is_white_and_the_rope_runs_towards_red() -> None:
 
 
 # Camera
-
-
-def test_image_right_is_world_x_and_image_up_is_world_y() -> None:
-    moved = project(
-        np.array([[0.0, 0.0, 0.0], [0.066, 0.0, 0.0], [0.0, 0.066, 0.0]]), center=np.zeros(3)
-    )
-    assert moved == pytest.approx(np.array([[64.0, 64.0], [76.8, 64.0], [64.0, 51.2]]))
 
 
 def test_a_bead_is_drawn_where_it_is_projected() -> None:
@@ -189,8 +185,7 @@ def test_the_perspective_camera_is_the_published_one() -> None:
 
 
 def test_what_is_behind_the_perspective_camera_is_not_drawn() -> None:
-    points = ring()
-    points[:50, 2] += 3.0
+    points = LOOP + np.arange(100)[:, None] // 50 * (0, 0, -3.0)
     config = PictureConfig(camera="perspective")
     assert np.isnan(project(points, config)[:50]).all()
     assert draw(points, config).shape == (128, 128, 3)
@@ -217,60 +212,41 @@ def test_draw_many_is_draw_many_times() -> None:
     assert draw(np.empty((0, 100, 3))).shape == (0, 128, 128, 3)
 
 
-def test_the_background_is_what_was_asked_for() -> None:
-    image = draw(ring(), PictureConfig(background=(10, 20, 30)))
-    assert image[0, 0].tolist() == [10, 20, 30] and image[64, 64].tolist() == [10, 20, 30]
+def test_outside_the_rope_is_the_background_and_outside_the_picture_nothing() -> None:
+    image = draw(2 * LOOP, PictureConfig(background=(10, 20, 30)))
+    for pixels in (image[64], image[:, 64], draw(1e9 * LOOP) + np.uint8((10, 20, 30))):
+        assert (pixels == (10, 20, 30)).all()
+    assert (image != (10, 20, 30)).any()
 
 
-def test_what_lies_outside_the_picture_is_cut_off() -> None:
-    image = draw(ring(radius=0.4))
-    assert not image[64].any() and not image[:, 64].any()
-    assert image.any()
-    assert not draw(ring(radius=1e9)).any()
+TWELFTHS = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+SHAPES = {
+    "ropes": curves()[:12],
+    # a star, whose joints turn by 150 degrees
+    "star": np.array(
+        [0.2 * np.cos(5 * TWELFTHS), 0.2 * np.sin(5 * TWELFTHS), 0.02 * np.sin(TWELFTHS)]
+    ).T[None],
+    "seen end on": np.array(
+        [
+            [(0.1 + 1e-6 * k, 0.1, 0.0133 * k) for k in range(11)]
+            + [(0.11, -0.1, 0.133), (0.09, -0.1, 0.0)]
+        ]
+    ),
+    # a long steep bead goes over one strand and under another
+    "steep": np.array(
+        [[-0.1, 0.1, -0.08, -0.08, 0.08, 0.08], [0, 0, 0.1, -0.1, -0.1, 0.1]]
+        + [[0, 0.1, 0.02, 0.02, 0.08, 0.08]]
+    ).T[None],
+}
 
 
-def test_neighbouring_beads_leave_no_gap() -> None:
-    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-    for turns in (1, 5):  # 5: a star, whose joints turn by 150 degrees
-        points = np.stack(
-            [0.2 * np.cos(turns * angle), 0.2 * np.sin(turns * angle), 0.02 * np.sin(angle)], axis=1
-        )
-        config = PictureConfig(size=512)
-        image = draw(points, config, colours=white(12))
-        for fraction in np.linspace(0.0, 1.0, 21):
-            at = points + fraction * (np.roll(points, -1, axis=0) - points)
-            column, row = np.floor(project(at, config, points.mean(axis=0))).astype(int).T
-            assert np.all(image[row, column] == 255)
-
-
-def test_the_picture_is_that_of_a_ray_tracer() -> None:
-    config = PictureConfig()
-    drawn = draw(curves()[:12], config)
-    exact = np.stack([traced(points, config) for points in curves()[:12]])
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_picture_is_that_of_a_ray_tracer(name: str) -> None:
+    config = PictureConfig(size=512 if name in ("seen end on", "steep") else 128)
+    drawn = draw(SHAPES[name], config)
+    exact = np.stack([traced(points, config) for points in SHAPES[name]])
     mean, far, wrong, overlap = differences(drawn, exact)
     assert mean < 3.5 and far < 0.01 and wrong < 0.001 and overlap > 0.97
-
-
-def test_beads_seen_end_on_are_discs() -> None:
-    column = np.array([[0.1, 0.1, 0.0133 * bead] for bead in range(11)])
-    config = PictureConfig()
-    points = np.concatenate([column, [[0.11, -0.1, 0.133], [0.09, -0.1, 0.0]]])
-    middle = project(points, config)[0]
-    row, column_at = np.indices((128, 128)) + 0.5
-    outside = (row < middle[1]) & (np.hypot(column_at - middle[0], row - middle[1]) < 3.0)
-    half_disc = 0.5 * np.pi * (config.drawn_radius * config.pixels_per_metre) ** 2
-    drawn = draw(points, config, colours=white(len(points)))
-    assert drawn[outside, 0].sum() / 255.0 == pytest.approx(half_disc, abs=0.15)
-
-
-def test_a_long_steep_bead_goes_over_and_under() -> None:
-    x, y = (-0.1, 0.1, -0.08, -0.08, 0.08, 0.08), (0.0, 0.0, 0.1, -0.1, -0.1, 0.1)
-    points = np.column_stack([x, y, (0.0, 0.1, 0.02, 0.02, 0.08, 0.08)])
-    config = PictureConfig(size=512)
-    image, colours = draw(points, config), bead_colours(len(points))
-    meetings = np.array([[-0.08, 0.0, 0.02], [0.08, 0.0, 0.09]])
-    column, row = np.floor(project(meetings, config, points.mean(axis=0))).astype(int).T
-    assert image[row, column].tolist() == [colours[2].tolist(), colours[0].tolist()]
 
 
 # Over and under
@@ -294,28 +270,11 @@ def test_at_every_crossing_the_over_strand_is_shown() -> None:
     assert not np.any(upside_down == "over") and np.sum(upside_down == "under") > 10
 
 
-def test_crossing_pixels_lie_on_both_strands() -> None:
-    points = curves()[5]
-    crossings = find_crossings(points)
-    places = np.stack([crossings.over_place, crossings.under_place], axis=1)
-    bead = np.floor(places).astype(int) % 100
-    along = points[bead] + (places % 1.0)[..., None] * (points[(bead + 1) % 100] - points[bead])
-    for strand in (0, 1):
-        assert project(along[:, strand], center=points.mean(axis=0)) == pytest.approx(
-            project(crossings.over_points, center=points.mean(axis=0)), abs=1e-6
-        )
-
-
 # Settings and errors
 
 
 def test_no_opengl_is_one_clear_line() -> None:
-    code = (
-        "import numpy as np; from knotgym.common.errors import KnotgymError; from"
-        " knotgym.rendering.picture import PictureConfig, draw\ntry:\n    draw(np.eye(3) * 0.1,"
-        " PictureConfig(renderer='mujoco'))\nexcept KnotgymError as error:\n    print(error)"
-    )
-    done = apart(code, MUJOCO_GL="off")
+    done = apart("try: show()\nexcept KnotgymError as error: print(error)", MUJOCO_GL="off")
     assert len(done.stdout.splitlines()) == 1 and not done.stderr
     assert "renderer='opencv'" in done.stdout
 
@@ -360,11 +319,11 @@ def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
     from knotgym.rendering import mujoco_renderer as picture_mujoco
 
     config = PictureConfig(size=64, renderer="mujoco")
-    first = draw(ring(), config)
+    first = draw(LOOP, config)
     drawn: list[NDArray[np.uint8]] = []
 
     def work() -> None:
-        drawn.append(draw(ring(), config))
+        drawn.append(draw(LOOP, config))
         picture_mujoco._close()
 
     thread = threading.Thread(target=work)
@@ -372,33 +331,26 @@ def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
     thread.join()
     picture_mujoco._close()
     picture_mujoco._close()
-    drawn.append(draw(ring(), config))
+    drawn.append(draw(LOOP, config))
     assert len(drawn) == 2 and all(np.array_equal(first, image) for image in drawn)
 
 
 @gl
 def test_mujoco_leaves_the_process_without_a_word() -> None:
-    code = (
-        "import os, threading, numpy as np; from knotgym.rendering.picture import PictureConfig,"
-        " draw;config = PictureConfig(size=16, renderer='mujoco'); thread ="
-        " threading.Thread(target=draw, args=(np.eye(3) * 0.1, config));thread.start();"
-        " thread.join(); draw(np.eye(3) * 0.1, config); print(os.environ.get('MUJOCO_GL'))"
+    done = apart(
+        "thread = threading.Thread(target=show); thread.start(); thread.join(); show()\n"
+        "print(os.environ.get('MUJOCO_GL'))"
     )
-    done = apart(code)
     assert done.stdout.strip() == str(os.environ.get("MUJOCO_GL")) and not done.stderr
 
 
 @gl
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_mujoco_refuses_to_draw_in_the_fork_of_a_process_that_drew() -> None:
-    code = (
-        "import os, numpy as np; from knotgym.common.errors import KnotgymError; from"
-        " knotgym.rendering.picture import PictureConfig, draw\nconfig = PictureConfig(size=16,"
-        " renderer='mujoco'); draw(np.eye(3) * 0.1, config); child = os.fork()\ntry:\n   "
-        " draw(np.eye(3) * 0.1, config)\nexcept KnotgymError:\n   "
-        " os._exit(3)\nprint(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
+    done = apart(
+        "show(); child = os.fork()\ntry: show()\nexcept KnotgymError: os._exit(3)\n"
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
     )
-    done = apart(code)
     assert done.stdout.strip() == "3"
 
 

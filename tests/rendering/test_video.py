@@ -17,25 +17,25 @@ from ..conftest import curled
 FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 180, 240)]
 
 
-@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm", "a.MP4"])
-def test_a_film_shows_what_it_was_given_at_the_speed_of_the_rope(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "codec"), [("a.gif", ""), ("a.mp4", "h264"), ("a.webm", "vp9"), ("a.MP4", "h264")]
+)
+def test_a_film_shows_what_it_was_given_at_the_speed_of_the_rope(
+    tmp_path: Path, name: str, codec: str
+) -> None:
     Film(tmp_path / name).write(FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     film = cv2.VideoCapture(str(tmp_path / name))
     assert film.get(cv2.CAP_PROP_FPS) == FRAMES_PER_SECOND
     levels = []
-    while (read := film.read())[0]:
-        levels.append(float(read[1].mean()))
+    while (frame := film.read())[0]:
+        levels.append(float(frame[1].mean()))
     assert np.allclose(levels, [0, 60, 120, 180, 240], atol=6)
-
-
-@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "h264"), ("a.webm", "vp9")])
-def test_films_are_of_a_kind_that_browsers_play(tmp_path: Path, name: str, codec: str) -> None:
-    Film(tmp_path / name).write(FRAMES)
-    with av.open(str(tmp_path / name)) as film:
-        stream = film.streams.video[0]
-        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == (codec, "yuv420p")
-        assert stream.average_rate == FRAMES_PER_SECOND
+    if codec:  # browsers play it
+        with av.open(str(tmp_path / name)) as read:
+            stream = read.streams.video[0]
+            assert (stream.codec_context.name, stream.codec_context.pix_fmt) == (codec, "yuv420p")
+            assert stream.average_rate == FRAMES_PER_SECOND
 
 
 def test_a_film_that_needs_pyav_names_the_extra(

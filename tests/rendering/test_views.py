@@ -14,7 +14,7 @@ from knotgym.rendering.camera import PictureConfig
 from knotgym.rendering.picture import draw
 from knotgym.topology import find_crossings
 
-from .test_picture import curves, shown_strands
+from .test_picture import LOOP, curves, shown_strands
 
 ALL = ("top", "left", "front")
 # view -> the world's directions that go right and up in the picture, and towards the camera
@@ -64,12 +64,13 @@ def level(nearer: Any) -> Any:
 
 
 def test_a_rope_that_lies_flat_has_the_middle_level() -> None:
-    at = 2 * np.pi * np.arange(100) / 100
-    flat = 0.2 * np.stack([np.cos(at), np.sin(at), 0 * at], axis=1)
-    assert np.unique(draw(flat, PictureConfig(depth=True))[..., 3]).tolist() == [0, 128]
-    edge_on = draw(flat, PictureConfig(depth=True, views=("left",)))[64, :, 3]
+    assert np.unique(draw(LOOP, PictureConfig(depth=True))[..., 3]).tolist() == [0, 128]
+    edge_on = draw(LOOP, PictureConfig(depth=True, views=("left",)))[64, :, 3]
     # the nearer half of the ring hides the other
-    assert edge_on.max() == pytest.approx(level(0.2), abs=1) and edge_on[64] == edge_on.max()
+    assert (
+        edge_on.max() == pytest.approx(level(LOOP[:, 0].max()), abs=1)
+        and edge_on[64] == edge_on.max()
+    )
     assert edge_on[edge_on > 0].min() >= 127
 
 
