@@ -2,15 +2,14 @@
 
     python benchmarks/chain.py speed [--out chain.json]
 
-Commands: speed, distance, sequences, policy.
+Commands: speed, distance, policy.
 
 `speed`: CPU milliseconds an action of either engine on one pinned core, the same ropes and pulls,
 in turn. `distance`: how far beads end from where MuJoCo puts them after 1, 2 and 4 random actions
 of full force, from shipped states of 0 to 4 crossings, mean over beads and states; and how often
-both show the same Gauss code. `sequences`: how often the pulls of the expert's recorded episodes
-end in the same code on either engine. `policy`: success of random actions in the nine set-ups of
-both state sets, test split, with the same starts and goals on either engine, and Newcombe's 95 %
-interval of the difference on these states. Parts that --out holds are not played again.
+both show the same Gauss code. `policy`: success of random actions in the nine set-ups of both state
+sets, test split, with the same starts and goals on either engine, and the 95 % interval of the
+difference on these states. Parts that --out holds are not played again.
 `passages.py` is about safety.
 """
 
@@ -19,7 +18,6 @@ import os
 import statistics
 import time
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.common import Stream
-from knotgym.control import replay
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, Recording, evaluate
+from knotgym.generate import EvaluateConfig, evaluate
 from knotgym.rope import CHAIN, MUJOCO, ChainSimulation, Rope, RopeConfig, Simulation, simulation
 from knotgym.runs import Difference, RunOptions
 from knotgym.states import read_states, shipped
@@ -122,31 +118,6 @@ def distance(args: Namespace, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def sequences(args: Namespace, rng: np.random.Generator) -> dict[str, Any]:
-    told: dict[str, Any] = {}
-    for name, recording in Recording.read_all().items():
-        config = recording.config
-        if config.policy.policy != "expert":
-            continue
-        own = recording.episodes.select(
-            np.arange(min(args.ropes, recording.episodes.episodes.rows))
-        )
-        seeds = [
-            Stream.EPISODE.derived_seed(config.seed, number) for number in range(own.episodes.rows)
-        ]
-        longest, ends = int(own.episodes["length"].max()), []
-        for engine in (MUJOCO, CHAIN):
-            task = replace(config.policy_task, engine=engine, horizon=longest, hold=longest)
-            played = replay(own, task, seeds)
-            # the last state, if the rope was towed too far in this engine
-            lengths = np.minimum(own.episodes["length"], played.episodes["length"])
-            last = played.offsets[:-1] + lengths
-            ends.append(label_many(played.steps["observation"][last].astype(np.float64)))
-        same = sum(one.matches(other) for one, other in zip(*ends, strict=True))
-        told[name] = {"episodes": len(seeds), "same code": same / len(seeds)}
-    return told
-
-
 def policy(args: Namespace, rng: np.random.Generator) -> dict[str, Any]:
     cells = [(name, task, nx) for name in SETS for task in TASKS for nx in (2, 3, 4)]
     found: dict[str, dict[str, list[int]]] = {}
@@ -189,7 +160,7 @@ def compared(found: dict[str, dict[str, list[int]]]) -> list[str]:
     return [*rows, f"{within} of {len(rows)} hold 0"]
 
 
-COMMANDS = {run.__name__: run for run in (speed, distance, sequences, policy)}
+COMMANDS = {run.__name__: run for run in (speed, distance, policy)}
 
 
 def main() -> None:

@@ -17,9 +17,9 @@ thread. That can be measured on a busy machine too: a call of `Threads.spread` t
 part of its rows' time, or as long as what is done meanwhile, and everything else takes its time.
 """
 
+import itertools
 import json
 import os
-import platform
 import statistics
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -27,23 +27,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import gymnasium as gym
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
 import knotgym
 from knotgym.common import Threads
 from knotgym.rope import Rope, simulation
 
 MODES = ("state", "pixels", "both")
-BARS = {"state": 0.9, "pixels": 0.75}
 VECTOR = {"mujoco": 64, "chain": 1024}  # engine -> ropes of make_vec
-VECTOR_BARS = {"state": 5000, "pixels": 1500}  # steps a second, in the chain engine
 CHUNK = 10  # actions between two looks at the clock
 
 
@@ -237,71 +232,25 @@ def main() -> None:
             pair = measured(env, actions)
             if repeat:  # the first warms up
                 times[mode].append(pair)
-    rows = {}
-    for mode, pairs in times.items():
-        rows[mode] = {
+    modes = {
+        mode: {
             "steps_per_second": 1 / statistics.median(ours for ours, _ in pairs),
             "raw_steps_per_second": 1 / statistics.median(theirs for _, theirs in pairs),
             "raw_share": statistics.median(theirs / ours for ours, theirs in pairs),
             "own_ms": 1000 * statistics.median(ours - theirs for ours, theirs in pairs),
-            "bar": BARS.get(mode),
         }
-    many_rates = []
-    for engine, usual in VECTOR.items():
-        ropes = args.ropes or usual
-        for mode in MODES:
-            rate, alone = vector_rates(args.task, mode, engine, ropes, args.vector_steps, args.nx)
-            bar = VECTOR_BARS.get(mode) if engine == "chain" else None
-            names = ("engine", "ropes", "observation", "steps_per_second", "ropes_alone", "bar")
-            many_rates.append(
-                dict(zip(names, (engine, ropes, mode, rate, alone, bar), strict=True))
-            )
-    table = Table("observation", "steps/s", "raw steps/s", "share of raw", "ms of our own", "bar")
-    for mode, row in rows.items():
-        forms = {
-            "steps_per_second": ".1f",
-            "raw_steps_per_second": ".1f",
-            "raw_share": ".3f",
-            "own_ms": ".2f",
-        }
-        table.add_row(
-            mode, *(format(row[name], form) for name, form in forms.items()), str(row["bar"] or "")
-        )
-    Console().print(table)
-    many = Table("engine", "ropes", "observation", "steps/s", "ropes alone", "bar")
-    for cell in many_rates:
-        many.add_row(
-            *(
-                f"{value:.0f}" if isinstance(value, float) else str(value or "")
-                for value in cell.values()
-            )
-        )
-    Console().print(many)
-    on_threads = Table("observation", "threads", "steps/s", "factor on as many cores, by CPU time")
-    for cell in threaded:
-        name, count, per_second, factor = cell.values()
-        on_threads.add_row(name, str(count), f"{per_second:.0f}", f"{factor:.2f}")
-    Console().print(on_threads)
-    versions = {
-        "knotgym": knotgym.__version__,
-        "python": platform.python_version(),
-        "mujoco": mujoco.__version__,
-        "opencv": cv2.__version__,
+        for mode, pairs in times.items()
     }
+    names = ("engine", "ropes", "observation", "steps_per_second", "ropes_alone")
+    many = list[dict[str, Any]]()
+    for engine, mode in itertools.product(VECTOR, MODES):
+        ropes = args.ropes or VECTOR[engine]
+        rates = vector_rates(args.task, mode, engine, ropes, args.vector_steps, args.nx)
+        many.append(dict(zip(names, (engine, ropes, mode, *rates), strict=True)))
     given = {name: value for name, value in vars(args).items() if name != "out"}
-    args.out.write_text(
-        json.dumps(
-            {
-                "versions": versions,
-                "settings": given,
-                "modes": rows,
-                "make_vec": many_rates,
-                "threads": threaded,
-            },
-            indent=1,
-        )
-        + "\n"
-    )
+    told = {"settings": given, "modes": modes, "make_vec": many, "threads": threaded}
+    args.out.write_text(json.dumps({"knotgym": knotgym.__version__, **told}, indent=1) + "\n")
+    Console().print(told)
 
 
 if __name__ == "__main__":
