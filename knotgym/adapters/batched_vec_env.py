@@ -7,19 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from knotgym.adapters.goal_environment import Goals
+from knotgym.adapters.goal_environment import GoalBatch
 from knotgym.common import InvalidInput
-from knotgym.envs import EpisodeBatch, Observer, TaskConfig
+from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import action_space
 
 Indices = int | Iterable[int] | None
 
 
 class BatchedVecEnv(VecEnv):
-    """A VecEnv of ropes that are stepped together; see `sb3_vec_env`.
-
-    `goals` are achieved and desired goals, or None without `goals=True`.
-    """
+    """A VecEnv of ropes that are stepped together; see `sb3_vec_env`."""
 
     def __init__(
         self, task: str, num_envs: int, threads: int, goals: bool, settings: dict[str, Any]
@@ -27,12 +24,11 @@ class BatchedVecEnv(VecEnv):
         config = TaskConfig.of(task, {**({"failure_reward": 0.0} if goals else {}), **settings})
         self.render_mode = "rgb_array"
         self.num_envs = num_envs
-        self.episodes = EpisodeBatch(config, num_envs, threads)
-        self.goals = Goals(self.episodes) if goals else None
-        space = self.goals.space if self.goals else Observer(config).space
+        self.episodes = (GoalBatch if goals else EpisodeBatch)(config, num_envs, threads)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._actions: NDArray[Any] = np.empty(0)
-        super().__init__(num_envs, space, action_space(config.action, config.beads))
+        space, actions = self.episodes.space, action_space(config.action, config.beads)
+        super().__init__(num_envs, space, actions)
 
     def reset(self) -> Any:
         """Restart every episode, with the seeds and options that were set."""
@@ -42,7 +38,7 @@ class BatchedVecEnv(VecEnv):
             self._begin(np.array([i]), options)
         self._reset_seeds()
         self._reset_options()
-        return self._observations()
+        return self.episodes.observations(np.arange(self.num_envs))
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store the actions for `step_wait`."""
@@ -50,15 +46,15 @@ class BatchedVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Take the stored actions; episodes that end are restarted at once."""
-        rewards, terminated, truncated = self.episodes.act(self._actions, np.arange(self.num_envs))
-        dones = terminated | truncated
-        infos = self.episodes.info_rows(np.arange(self.num_envs))
+        every = np.arange(self.num_envs)
+        rewards, terminated, truncated = self.episodes.act(self._actions, every)
+        dones, infos = terminated | truncated, self.episodes.info_rows(every)
         for i, info in enumerate(infos):
             info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
             if dones[i]:
-                info["terminal_observation"] = (self.goals or self.episodes).observation(i)
+                info["terminal_observation"] = self.episodes.observation(i)
         self._begin(np.flatnonzero(dones))
-        return self._observations(), rewards.astype(np.float32), dones, infos
+        return self.episodes.observations(every), rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
         """Do nothing; there are no resources to release."""
@@ -89,20 +85,15 @@ class BatchedVecEnv(VecEnv):
         return [False] * len(self._which(indices))
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Compute rewards as `Goals.reward`; `info` is not used."""
-        if self.goals is None:
+        """Compute rewards as `GoalBatch.reward`; `info` is not used."""
+        if not isinstance(self.episodes, GoalBatch):
             raise InvalidInput("compute_reward needs goals: create the VecEnv with goals=True")
-        return self.goals.reward(achieved_goal, desired_goal)
+        return self.episodes.reward(achieved_goal, desired_goal)
 
     def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:
         self.episodes.begin(ids, [self._rngs[i] for i in ids], options)
-        if self.goals is not None:
-            self.goals.begin(ids)
         for index, info in zip(ids.tolist(), self.episodes.info_rows(ids), strict=True):
             self.reset_infos[index] = info
-
-    def _observations(self) -> Any:
-        return (self.goals or self.episodes).observations(np.arange(self.num_envs))
 
     def _which(self, indices: Indices) -> Sequence[int]:
         return list(self._get_indices(indices))

@@ -11,6 +11,7 @@ from the name of a dataset, such as `knotgym/tie-nx2-expert-v0`, by removing the
 "visual" stands for pictures.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,31 +25,63 @@ _SYMBOLS = Observer.SYMBOLS
 _TASKS = 5  # number of evaluation goals, as in OGBench
 
 
+class GoalBatch(EpisodeBatch):
+    """Episodes whose observations hold achieved and desired goals, see `goal_env`."""
+
+    def __init__(self, task: TaskConfig, count: int = 1, threads: int = 1) -> None:
+        _require_one_side(task)
+        if task.hold != 1 or task.failure_reward:
+            raise InvalidInput(
+                "with goals that may be relabelled, hold must be 1 and failure_reward 0, got"
+                f" {task.hold} and {task.failure_reward}"
+            )
+        super().__init__(task, count, threads)
+        self._began = Observer.symbols(self.visits)  # the first code of each episode
+        goal = spaces.Box(-_SYMBOLS, _SYMBOLS, (1 + _SYMBOLS,), np.int16)
+        self.space = spaces.Dict(
+            {"observation": _rope_space(task), "achieved_goal": goal, "desired_goal": goal}
+        )
+
+    def restore(self, ids: NDArray[np.int64], rows: Mapping[str, ArrayLike]) -> None:
+        """Begin episodes, as `EpisodeBatch.restore`."""
+        super().restore(ids, rows)
+        self._began[ids] = Observer.symbols(self.visits[ids])
+
+    def observations(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Return the observations of the episodes `ids`: arrays (n, ...)."""
+        # which codes that ropes show may count as a success
+        same = (Observer.symbols(self.visits[ids]) == self._began[ids]).all(axis=1)
+        fits = 2 * self.crossings[ids] <= _SYMBOLS
+        counts = ~same & fits & ~self.towed[ids] & ~self.failed[ids]
+        return {
+            "observation": _halves(super().observations(ids), batched=True)[0],
+            "achieved_goal": _encoded(self.visits[ids], counts),
+            "desired_goal": _encoded(self.wanted[ids], np.ones(len(ids), dtype=bool)),
+        }
+
+    def reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
+        """Return the task's rewards of goals (..., 1 + SYMBOLS): success where equal ones count."""
+        pair = np.broadcast_arrays(achieved_goal, desired_goal)
+        achieved, desired = (one.reshape(-1, 1 + _SYMBOLS) for one in pair)
+        held = ((achieved == desired).all(axis=1) & (desired[:, 0] == 1)).astype(np.int64)
+        # hold is 1, and no failure is paid: which step it is, and whether it failed, don't matter
+        seen = Situation(achieved[:, 1:], desired[:, 1:], held, 1, np.ones_like(held))
+        rewards = seen.outcome(self.task).rewards.reshape(pair[0].shape[:-1])
+        return rewards if rewards.ndim else float(rewards)
+
+
 class GoalEnv(KnotEnv):
     """A `KnotEnv` whose observation is a dict for hindsight relabelling, see `goal_env`."""
 
+    _batch = GoalBatch
+    episodes: GoalBatch
+
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
-        settings = {"failure_reward": 0.0, **settings}
-        super().__init__(task, render_mode, **settings)
-        self.goals = Goals(self.episodes)
-        self.observation_space = self.goals.space
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode, as `KnotEnv.reset`."""
-        info = super().reset(seed=seed, options=options)[1]
-        self.goals.begin(np.array([0]))
-        return self.goals.observation(0), info
-
-    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one action, as `KnotEnv.step`."""
-        _, *outcome = super().step(action)
-        return self.goals.observation(0), *outcome  # type: ignore[return-value]
+        super().__init__(task, render_mode, **{"failure_reward": 0.0, **settings})
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """Compute rewards as `Goals.reward`; `info` is not used."""
-        return self.goals.reward(achieved_goal, desired_goal)
+        """Compute rewards as `GoalBatch.reward`; `info` is not used."""
+        return self.episodes.reward(achieved_goal, desired_goal)
 
 
 def goal_env(task: str, **settings: Any) -> GoalEnv:
@@ -72,59 +105,6 @@ def goal_env(task: str, **settings: Any) -> GoalEnv:
         InvalidInput: a setting is invalid.
     """
     return GoalEnv(task, **settings)
-
-
-class Goals:
-    """Achieved and desired goals of a batch; call `begin` after `EpisodeBatch.begin`."""
-
-    def __init__(self, episodes: EpisodeBatch) -> None:
-        task = episodes.task
-        _require_one_side(task)
-        if task.hold != 1 or task.failure_reward:
-            raise InvalidInput(
-                "with goals that may be relabelled, hold must be 1 and failure_reward 0, got"
-                f" {task.hold} and {task.failure_reward}"
-            )
-        self.episodes = episodes
-        self._began = Observer.symbols(episodes.visits)
-        goal = spaces.Box(-_SYMBOLS, _SYMBOLS, (1 + _SYMBOLS,), np.int16)
-        self.space = spaces.Dict(
-            {"observation": _rope_space(task), "achieved_goal": goal, "desired_goal": goal}
-        )
-
-    def begin(self, ids: NDArray[np.int64]) -> None:
-        """Store the first codes of the episodes `ids`, which have just begun."""
-        self._began[ids] = Observer.symbols(self.episodes.visits[ids])
-
-    def observations(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Return the observations of the episodes `ids`: arrays (n, ...)."""
-        episodes = self.episodes
-        return {
-            "observation": _halves(episodes.observations(ids), batched=True)[0],
-            "achieved_goal": _encoded(episodes.visits[ids], self._count(ids)),
-            "desired_goal": _encoded(episodes.wanted[ids], np.ones(len(ids), dtype=bool)),
-        }
-
-    def observation(self, index: int) -> dict[str, NDArray[Any]]:
-        """Return the observation of episode `index`."""
-        return {name: each[0] for name, each in self.observations(np.array([index])).items()}
-
-    def reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
-        """Return the task's rewards of goals (..., 1 + SYMBOLS): success where equal ones count."""
-        pair = np.broadcast_arrays(achieved_goal, desired_goal)
-        achieved, desired = (one.reshape(-1, 1 + _SYMBOLS) for one in pair)
-        held = ((achieved == desired).all(axis=1) & (desired[:, 0] == 1)).astype(np.int64)
-        # hold is 1, and no failure is paid: which step it is, and whether it failed, don't matter
-        seen = Situation(achieved[:, 1:], desired[:, 1:], held, 1, np.ones_like(held))
-        rewards = seen.outcome(self.episodes.task).rewards.reshape(pair[0].shape[:-1])
-        return rewards if rewards.ndim else float(rewards)
-
-    def _count(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which codes that ropes show may count as a success."""
-        episodes = self.episodes
-        same = (Observer.symbols(episodes.visits[ids]) == self._began[ids]).all(axis=1)
-        fits = 2 * episodes.crossings[ids] <= _SYMBOLS
-        return ~same & fits & ~episodes.towed[ids] & ~episodes.failed[ids]
 
 
 class OGBenchEnv(KnotEnv):
@@ -164,16 +144,15 @@ class OGBenchEnv(KnotEnv):
                 raise InvalidInput(f"task_id must be a number from 1 to {_TASKS}, got {task_id!r}")
             chosen = self.task_infos[task_id - 1]
             options = {"start": chosen["start"], "goal": chosen["goal"], **options}
-        both, info = super().reset(seed=seed, options=options)
+        rope, info = super().reset(seed=seed, options=options)
         if render_goal:
             info["goal_rendered"] = _halves(self.episodes.rgb(0))[1]
-        return _goal_to_info(both, info)
+        return rope, info
 
-    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one action, as `KnotEnv.step`."""
-        both, reward, terminated, truncated, info = super().step(action)
-        rope, info = _goal_to_info(both, info)
-        return rope, reward, terminated, truncated, info
+    def _seen(self) -> tuple[NDArray[Any], dict[str, Any]]:
+        both, info = super()._seen()
+        rope, goal = _halves(both)
+        return rope, {**info, "goal_row": info["goal"], "goal": goal, "success": info["is_success"]}
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the rope alone, uint8 (size, size, 3)."""
@@ -211,9 +190,3 @@ def _require_one_side(config: TaskConfig) -> None:
 
 def _encoded(visits: NDArray[np.int16], count: NDArray[np.bool_]) -> NDArray[np.int16]:
     return np.concatenate([count[:, None].astype(np.int16), Observer.symbols(visits)], axis=1)
-
-
-def _goal_to_info(both: NDArray[Any], info: dict[str, Any]) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Move the goal's half of an observation to `info`, under the keys that OGBench expects."""
-    rope, goal = _halves(both)
-    return rope, {**info, "goal_row": info["goal"], "goal": goal, "success": info["is_success"]}

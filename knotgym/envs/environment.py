@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from knotgym.common import Failed, InvalidInput, MissingExtra
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import Observer
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import action_space, warn_of_compilation
 
@@ -39,13 +38,6 @@ class _HorizonSpec(EnvSpec):
 
     horizon: int
 
-    @classmethod
-    def of(cls, spec: EnvSpec, horizon: int) -> _HorizonSpec:
-        """Return a spec with the horizon as its `max_episode_steps`."""
-        own = cls.__new__(cls)
-        vars(own).update(vars(spec), horizon=horizon, max_episode_steps=horizon)
-        return own
-
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "max_episode_steps" and value > self.horizon:
             gym.logger.warn(
@@ -63,7 +55,8 @@ class _KnowsHorizon:
 
     def __setattr__(self, name: str, value: Any) -> None:
         if isinstance(value, EnvSpec):
-            value = _HorizonSpec.of(value, self.config.horizon)
+            given, horizon, value = vars(value), self.config.horizon, object.__new__(_HorizonSpec)
+            vars(value).update(given, horizon=horizon, max_episode_steps=horizon)
         super().__setattr__(name, value)
 
 
@@ -71,6 +64,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
     """Environment with one rope; for keywords see `TaskConfig`, for info `EpisodeBatch`."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
+    _batch: ClassVar = EpisodeBatch
 
     def __init__(
         self, task: str | Sequence[str], render_mode: str | None = "rgb_array", **settings: Any
@@ -79,8 +73,8 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array", "human")
         self._window = _Window() if render_mode == "human" else None
-        self.episodes = EpisodeBatch(self.config)
-        self.observation_space = Observer(self.config).space
+        self.episodes = self._batch(self.config)
+        self.observation_space = self.episodes.space
         self.action_space = action_space(self.config.action, self.config.beads)
 
     def reset(
@@ -90,7 +84,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         super().reset(seed=seed)
         self.episodes.begin(np.array([0]), [self.np_random], options)
         self._show()
-        return self.episodes.observation(0), self.episodes.info_rows(np.array([0]))[0]
+        return self._seen()
 
     def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one action.
@@ -101,10 +95,10 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         """
         _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.act(np.asarray(action)[None], np.array([0]))
-        info = self.episodes.info_rows(np.array([0]))[0]
+        observation, info = self._seen()
         ends = bool(terminated[0]), bool(truncated[0])
         self._show("reached" if info["is_success"] else "failed" if any(ends) else "")
-        return self.episodes.observation(0), float(reward[0]), *ends, info
+        return observation, float(reward[0]), *ends, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the rope and its goal, uint8 (views * size, 2 size, 3), in mode "rgb_array"."""
@@ -114,6 +108,10 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         """Close the window of render mode "human"."""
         if self._window is not None:
             self._window.close()
+
+    def _seen(self) -> tuple[Any, dict[str, Any]]:
+        """Return what `reset` and `step` show: the observation and `info`."""
+        return self.episodes.observation(0), self.episodes.info_rows(np.array([0]))[0]
 
     def _show(self, outcome: str = "") -> None:
         """Draw the state in the window of render mode "human"."""
@@ -215,7 +213,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
-        self.single_observation_space = Observer(self.config).space
+        self.single_observation_space = self.episodes.space
         self.single_action_space = action_space(self.config.action, self.config.beads)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -37,6 +37,7 @@ class EpisodeBatch:
 
     Attributes:
         task: settings of the task.
+        space: of the observation of one episode.
         simulation: the ropes.
         starts, goals: the states that starts and goals are sampled from.
         rows: "start" or "goal" -> int64 (n,), the rows of them that are sampled.
@@ -65,6 +66,7 @@ class EpisodeBatch:
         self.simulation = simulation(task.engine, count, Rope(task.rope_config), threads)
         self.view = ActionView(task.action, self.simulation)
         self._observer = Observer(task)
+        self.space = self._observer.space
         self._sides = task_sides(task)
         self.starts, self.goals = (side.states for side in self._sides[0])
         self.rows = {
@@ -251,10 +253,8 @@ class EpisodeBatch:
         self.failed[ids], self.beads[ids], self.applied_shares[ids] = failed, beads, shares
         self.forces[ids] = shares[:, None] * newtons
         self._read(ids)
-        towed = np.zeros(len(ids), dtype=bool)
-        if self.task.tow_limit is not None:
-            bound = TowBound(self.centre[ids], self.task.tow_limit)
-            towed = bound.exceeded(self.simulation.points[ids])
+        bound = self.tow_bound(ids)
+        towed = bound.exceeded(self.simulation.points[ids]) if bound else np.False_
         self.towed[ids] = towed
         self.steps[ids] += 1
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
@@ -305,8 +305,8 @@ class EpisodeBatch:
         checked, frames = view.check(actions, ids), Marked.of(points, self.goals_of(ids)).frames
         return frames.world_actions(view.name, checked, points, self.simulation.rope.config.reach)
 
-    def tow_bound(self, index: int, share: float = 1.0) -> TowBound | None:
-        """Return where rope `index` must stay, at a share of the `tow_limit`; None without one."""
+    def tow_bound(self, index: int | Ids, share: float = 1.0) -> TowBound | None:
+        """Return where ropes must stay, at a share of the `tow_limit`; None without one."""
         limit = self.task.tow_limit
         return None if limit is None else TowBound(self.centre[index].copy(), share * limit)
 

@@ -69,15 +69,11 @@ class CanonicalFrames(NamedTuple):
         both = np.stack([self.points(points), centred.points(goals)], axis=1)
         return both.reshape(len(points), -1).astype(np.float32)
 
-    def vectors(self, vectors: ArrayLike) -> Array:
-        """Map vectors (n, ..., 3) of the world, such as forces, into the frame."""
-        mapped: Array = np.einsum("nij,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
-        return mapped
-
-    def world_vectors(self, vectors: ArrayLike) -> Array:
-        """Map vectors (n, ..., 3) of the frame back into the world."""
+    def vectors(self, vectors: ArrayLike, *, back: bool = False) -> Array:
+        """Map vectors (n, ..., 3), such as forces, from the world into the frame, or back."""
         # the axes are orthogonal, so the transpose is the inverse
-        mapped: Array = np.einsum("nji,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
+        sums = "nji,n...j->n...i" if back else "nij,n...j->n...i"
+        mapped: Array = np.einsum(sums, self.axes, np.asarray(vectors, np.float64))
         return mapped
 
     def renumber(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
@@ -129,7 +125,8 @@ class CanonicalFrames(NamedTuple):
             return self.macros(actions, points.shape[1])
         found = np.array(actions, dtype=np.float64)
         vectors = found[:, 3 : 6 if view == "pull" else 3 + 3 * ActionView.LONGEST]
-        vectors[:] = self.world_vectors(vectors.reshape(len(found), -1, 3)).reshape(vectors.shape)
+        forces = self.vectors(vectors.reshape(len(found), -1, 3), back=True)
+        vectors[:] = forces.reshape(vectors.shape)
         rows = np.arange(len(found))
         unit = reach if view == "pull" else ActionView.NEAR
         beads = nearest_beads(self.points(points), unit * found[:, :3])

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Threads
+from knotgym.common import Threads, padded
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering import PictureConfig, draw
 from knotgym.topology import CodeArrays
@@ -169,10 +169,7 @@ class Observer:
 
         A visit is +label over and -label under, as in `GaussCode.visits`.
         """
-        padded = np.zeros((*codes.shape[:-1], length), dtype=np.int16)
-        shared = min(length, codes.shape[-1])
-        padded[..., :shared] = codes[..., :shared]
-        return padded
+        return padded(codes, length).astype(np.int16)
 
     @staticmethod
     def map_parts(seen: Any, function: Callable[[Any], Any]) -> Any:

@@ -67,7 +67,7 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
             seen.frames.renumber(beads),
             seen.frames.renumber(targets),
             seen.frames.sides(sides),
-            seen.frames.world_vectors(force),
+            seen.frames.vectors(force, back=True),
         )
         for seen in (here, there)
     )
@@ -95,7 +95,7 @@ def test_the_frame_maps_there_and_back() -> None:
     seen = Marked.of(ropes, [GOALS[0]] * 20)
     beads = seen.frames.renumber(np.arange(20))
     assert np.array_equal(seen.frames.renumber(beads), np.arange(20))
-    world = seen.frames.world_vectors(seen.points) + seen.frames.centres[:, None]
+    world = seen.frames.vectors(seen.points, back=True) + seen.frames.centres[:, None]
     world[seen.frames.reverse] = np.roll(world[seen.frames.reverse, ::-1], 1, axis=1)
     assert np.allclose(world, ropes)
 
