@@ -61,7 +61,8 @@ def collect(
     for config in configs:
         run(config, out, options, progress=given.progress)
         if options.shard.is_whole:
-            given.progress.say_how_to_load(loading_lines(config.dataset_id, out))
+            lines = loading_lines(config.dataset_id, out)
+            given.progress.say("to load it:", *(f"    {line}" for line in lines))
 
 
 @command(

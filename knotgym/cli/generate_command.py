@@ -62,7 +62,8 @@ def generate(
     root = make_states(config, folder, given.run, progress=given.progress) / "minari"
     for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
         shown = dataset.relative_to(root).as_posix()
-        given.progress.say_how_to_load(loading_lines(shown, root))
+        lines = loading_lines(shown, root)
+        given.progress.say("to load it:", *(f"    {line}" for line in lines))
 
 
 def _code_list(

@@ -5,7 +5,6 @@ output its name. Both look at the path itself (lstat): a symbolic link counts as
 it points to, and it is the link that gets replaced, never its target.
 """
 
-import ctypes
 import errno
 import glob
 import hashlib
@@ -28,7 +27,8 @@ _BESIDE = (
     "README.md gallery.png minari data croissant.json namespace_metadata.json weights.safetensors"
     " curve.csv curve.png transcripts.jsonl reset.png expert.gif expert.mp4"
 ).split()
-_AT_FDCWD, _EXCHANGE = -100, 2  # of renameat2(2)
+# what a rename meets where another process was faster
+_TAKEN = errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR, errno.ENOENT
 
 
 def require_output(
@@ -143,21 +143,22 @@ def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
     """Rename a finished file or folder to `target`, on the same file system.
 
     Without `overwrite` nothing is replaced, not even what another process has put there in the
-    meantime: that raises Occupied. With it, old and new change places at once where the system can
-    do that, and then the old output, now at `part`, is removed.
+    meantime: that raises Occupied. With it, an old folder steps aside and is removed once the new
+    one is in its place; `require_output` puts it back where a kill came between the two steps.
     """
     is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises if nothing was written
     _require_free(target, is_folder, overwrite)
     try:
         if overwrite and is_folder and os.path.lexists(target):
-            _exchange(part, target)
-            remove(part)
+            target.rename(_aside(target))
+            part.rename(target)
+            remove(_aside(target))
         elif overwrite or is_folder:
             os.rename(part, target)  # a folder never takes the place of a file or a full folder
         else:
             _rename_to_free(part, target)
     except OSError as error:
-        if error.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR):
+        if error.errno not in _TAKEN:
             raise
         raise Occupied(f"{target} was made by another process in the meantime; kept it") from error
 
@@ -174,22 +175,12 @@ def _rename_to_free(part: Path, target: Path) -> None:
         part.unlink()
 
 
-def _exchange(part: Path, target: Path) -> None:
-    """Exchange two paths at once where the system can do that, otherwise in steps."""
-    call = getattr(ctypes.CDLL(None), "renameat2", None)
-    if call and not call(_AT_FDCWD, os.fsencode(part), _AT_FDCWD, os.fsencode(target), _EXCHANGE):
-        return
-    target.rename(_aside(target))  # `_put_back` mends a kill between this line and the last
-    part.rename(target)
-    _aside(target).rename(part)
-
-
 def _aside(target: Path) -> Path:
     return target.parent / f".replaced-{target.name}"
 
 
 def _put_back(target: Path) -> None:
-    """Finish an exchange in steps that was interrupted."""
+    """Finish a replacement that was interrupted."""
     aside = _aside(target)
     if os.path.lexists(aside):
         if os.path.lexists(target):

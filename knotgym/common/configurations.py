@@ -95,10 +95,10 @@ _SHOWN = 80  # characters of a refused value that a message repeats
 
 def _plain(value: Any) -> Any:
     """NumPy's numbers as Python's, lists as tuples; strict validation refuses them otherwise."""
-    if isinstance(value, (np.integer, np.floating)):
+    if isinstance(value, np.number):
         return value.item()
     if isinstance(value, dict):
-        return {k: v.item() if isinstance(v, np.number) else v for k, v in value.items()}
+        return {name: _plain(one) for name, one in value.items()}
     return tuple(map(_plain, value)) if isinstance(value, (list, tuple)) else value
 
 

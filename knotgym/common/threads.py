@@ -79,7 +79,7 @@ class Threads:
         workers, results = min(self._most, len(parts)) - 1, [None] * len(parts)
         begun, done, errors = SimpleQueue[None](), SimpleQueue[None](), dict[int, BaseException]()
 
-        def do(number: int) -> None:
+        def _do(number: int) -> None:
             begun.put(None)
             try:
                 results[number] = work(parts[number])
@@ -92,7 +92,7 @@ class Threads:
             finalize(self, self._tasks.put, None)  # which ends it
             self._workers += 1
         for number in range(1, len(parts)):
-            self._tasks.put(partial(do, number))
+            self._tasks.put(partial(_do, number))
         try:
             if meanwhile is not None:
                 # To begin, a thread needs the interpreter's lock, which code in Python hands over
@@ -101,7 +101,7 @@ class Threads:
                     begun.get()
                 meanwhile()
         finally:
-            own = [partial(do, 0)] if parts else []
+            own = [partial(_do, 0)] if parts else []
             while own:
                 own.pop()()
                 with suppress(Empty):

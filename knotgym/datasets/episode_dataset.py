@@ -24,7 +24,7 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
 
 import hashlib
 import os
-from collections.abc import Collection, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -74,10 +74,10 @@ MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
 _KEPT_FACTS = ("metadata", "run", "selection", STATES_DIGEST)
 # settings of the environment that loaders read; datasets that are loaded together share them
-_READ = {
+_READ = (
     *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
     *("image_size", "views", "depth", "layout", "camera", "appearance", "renderer"),
-}
+)
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ def columns_of(source: Any) -> EpisodeDataset:
     """
     if isinstance(source, (list, tuple)):
         parts = tuple(columns_of(one) for one in source)
-        require_alike(parts, {*vars(parts[0].task)} - _READ if parts else set())
+        require_alike(parts, lambda one: {name: getattr(one.task, name) for name in _READ})
         path = Path(" and ".join(str(one.path) for one in parts))
         every = Episodes.merged([one.episodes for one in parts])
         return EpisodeDataset(path, every, parts[0].task, {}, parts=parts)
@@ -279,19 +279,17 @@ def columns_of(source: Any) -> EpisodeDataset:
     return opened
 
 
-def require_alike(datasets: Sequence[EpisodeDataset], free: Collection[str]) -> None:
-    """Refuse datasets whose environments differ in a setting, unless it is one of `free`.
-
-    Raises:
-        InvalidInput: they differ in another one.
-    """
-    for other in datasets[1:]:
-        for name, value in vars(datasets[0].task).items():
-            own = getattr(other.task, name)
-            if name not in free and value != own:
+def require_alike(
+    datasets: Sequence[EpisodeDataset], facts: Callable[[EpisodeDataset], Mapping[str, object]]
+) -> None:
+    """Raise InvalidInput if datasets differ in one of their facts."""
+    every = [facts(one) for one in datasets]
+    for other, own in zip(datasets[1:], every[1:], strict=True):
+        for name, value in every[0].items():
+            if own[name] != value:
                 raise InvalidInput(
                     f"these datasets must have one {name}: {datasets[0].path} has {value},"
-                    f" {other.path} has {own}"
+                    f" {other.path} has {own[name]}"
                 )
 
 

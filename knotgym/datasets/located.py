@@ -18,6 +18,7 @@ from knotgym.common import (
     InvalidInput,
     format_of,
     require_no_links,
+    require_output,
     require_stored_here,
 )
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
@@ -136,13 +137,27 @@ def _located(root: Path) -> Located | None:
     return Located(root, episodes=found) if found else None
 
 
-def refuse_minaris_folder(out: Path) -> None:
-    """Raise InvalidInput if a plain file would be written into Minari's folder."""
+def require_file(
+    out: Path, sources: Iterable[Path], overwrite: bool, *, folder: bool = False
+) -> None:
+    """Check that a plain file, or a folder of such, can be written.
+
+    Args:
+        out: its path.
+        sources: what it is made from.
+        overwrite: whether it may replace an older one.
+        folder: whether it is a folder.
+
+    Raises:
+        InvalidInput: it is in Minari's folder.
+        Occupied: as of `require_output`.
+    """
     if out.resolve().is_relative_to(minari_root().resolve()):
         raise InvalidInput(
             f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
             " knotgym/name-v0, or give another --out"
         )
+    require_output(out, folder=folder, overwrite=overwrite, reads=sources)
 
 
 def _datasets_below(folder: Path) -> tuple[Path, ...]:

@@ -10,17 +10,20 @@ of the columns and nothing else: a condition that contains a query, by which SQL
 is refused before it is parsed. As in polars, division by zero is infinite, and NaN is no value.
 """
 
+import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+import knotgym
 from knotgym.common import (
     Counts,
+    InvalidFile,
     InvalidInput,
     MissingExtra,
     Stream,
@@ -32,22 +35,37 @@ from knotgym.common import (
 from knotgym.datasets.episode_dataset import (
     STATES_DIGEST,
     EpisodeDataset,
+    open_episodes,
     require_alike,
     write_episodes,
 )
-from knotgym.datasets.located import locate
-from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
-from knotgym.datasets.selectable import (
-    EpisodeRows,
-    Rows,
-    StateRows,
-    opened,
-    require_file,
-    write_rows,
+from knotgym.datasets.episodes import gauss_codes
+from knotgym.datasets.image_table import (
+    arrow,
+    column_names,
+    columns_among,
+    parquet,
+    points_of,
+    read_table,
+    shards,
 )
+from knotgym.datasets.located import locate, require_file
+from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.envs import TaskConfig, task_sides
-from knotgym.states import is_bundled, merge_states, minari_root, repeated, resolve, write_states
+from knotgym.rope import Array
+from knotgym.states import (
+    States,
+    families,
+    is_bundled,
+    merge_states,
+    minari_root,
+    read_states,
+    repeated,
+    resolve,
+    write_states,
+)
 
+Ids = NDArray[np.int64]
 _RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")
 _PART = re.compile(r"([A-Za-z0-9_]+)=([0-9]{0,9}\.?[0-9]{1,9})")
 _LONGEST = 2000  # characters
@@ -80,8 +98,8 @@ def select(
         InvalidInput: no row is left, or fewer than `sample` are.
         Occupied: the output exists.
     """
-    given = opened(source)
-    chosen = _matching_rows(where, given.columns) if where else np.ones(given.count, dtype=bool)
+    given = _opened(source)
+    chosen = _matching_rows(where, given.columns()) if where else np.ones(given.size, dtype=bool)
     rows = np.flatnonzero(chosen)
     if sample is not None:
         if not 0 < sample <= len(rows):
@@ -89,7 +107,7 @@ def select(
         rows = np.sort(Stream.SELECTION.generator(seed).choice(rows, sample, replace=False))
     how: dict[str, Any] = {"where": where, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
-    return write_rows(given, str(source), rows, how, Path(out), overwrite)
+    return _write_rows(given, str(source), rows, how, Path(out), overwrite)
 
 
 def delete(source: str | Path, rows: str, out: str | Path, *, overwrite: bool = False) -> Path:
@@ -105,17 +123,17 @@ def delete(source: str | Path, rows: str, out: str | Path, *, overwrite: bool = 
         InvalidInput: there is no such row, or none would be left.
         Occupied: the output exists.
     """
-    given = opened(source)
-    left = np.ones(given.count, dtype=bool)
+    given = _opened(source)
+    left = np.ones(given.size, dtype=bool)
     for word in rows.split(","):
         found = _RANGE.fullmatch(word)
-        if not found or not int(found[1]) <= (last := int(found[2] or found[1])) < given.count:
+        if not found or not int(found[1]) <= (last := int(found[2] or found[1])) < given.size:
             raise InvalidInput(
-                f"rows of {source} are numbers such as 3,7-9 below {given.count}, got {word!r}"
+                f"rows of {source} are numbers such as 3,7-9 below {given.size}, got {word!r}"
             )
         left[int(found[1]) : last + 1] = False
     how = {"deleted": rows}
-    return write_rows(given, str(source), np.flatnonzero(left), how, Path(out), overwrite)
+    return _write_rows(given, str(source), np.flatnonzero(left), how, Path(out), overwrite)
 
 
 def split(
@@ -139,12 +157,12 @@ def split(
         Occupied: an output exists.
     """
     shares, whole = _shares(parts), Path(out)
-    given = opened(source)
+    given = _opened(source)
     together = _groups(given.shared())
     dealt = _dealt(together, [*shares.values()], Stream.SELECTION.generator(seed, 1))
     if len(set(dealt.tolist())) < len(shares):
         raise InvalidInput(
-            f"{source} can't be cut into {len(shares)} parts: its {given.count} rows share"
+            f"{source} can't be cut into {len(shares)} parts: its {given.size} rows share"
             f" starts, goals, walks or near-duplicates, which leaves {together.max() + 1}"
             " separate groups"
         )
@@ -154,7 +172,7 @@ def split(
     with atomic_write(whole.parent, *names, overwrite=overwrite) as staged:
         for k, (part, name) in enumerate(zip(shares, names, strict=True)):
             rows, how = np.flatnonzero(dealt == k), {"parts": shares, "seed": seed, "part": part}
-            write_rows(given, str(source), rows, how, staged / name)
+            _write_rows(given, str(source), rows, how, staged / name)
     return [whole.with_name(name) for name in names]
 
 
@@ -176,9 +194,9 @@ def merge(
     """
     if not given:
         raise InvalidInput("nothing to merge: give at least one dataset")
-    found, sources = [opened(name) for name in given], [resolve(name) for name in given]
-    states = [one.states for one in found if isinstance(one, StateRows)]
-    datasets = [one.dataset for one in found if isinstance(one, EpisodeRows)]
+    found, sources = [_opened(name).data for name in given], [resolve(name) for name in given]
+    states = [one for one in found if isinstance(one, States)]
+    datasets = [one for one in found if isinstance(one, EpisodeDataset)]
     if len(given) not in (len(states), len(datasets)):
         kinds = ", ".join(locate(name).kind for name in given)
         raise InvalidInput(f"datasets to merge are all of states or all of episodes, got {kinds}")
@@ -212,8 +230,164 @@ def merge(
 
 def kept(path: Path) -> str:
     """Say how many rows of its source a selected dataset has."""
-    last = opened(path).earlier[-1]
+    last = _opened(path).earlier[-1]
     return f"{last['kept']} of {last['rows']} rows"
+
+
+class _Rows(NamedTuple):
+    """A dataset as rows: a state, an episode and a picture are one row each.
+
+    Attributes:
+        data: the dataset itself.
+        digested: the file whose checksum identifies it.
+        size: number of rows.
+        earlier: the selections by which it was made.
+        columns: returns name -> one value per row.
+        shared: returns int64 (size, 2), what rows that must stay in one part have in common; -1 if
+            nothing.
+        write: writes rows to a new file, with the selections by which that is made.
+    """
+
+    data: Any
+    digested: Path
+    size: int
+    earlier: Any
+    columns: Callable[[], Mapping[str, NDArray[Any]]]
+    shared: Callable[[], Ids]
+    write: Callable[[Ids, list[Any], Path], Any]
+
+
+def _opened(source: str | Path) -> _Rows:
+    """Open a dataset by its path, name or id.
+
+    Raises:
+        MissingFile, InvalidInput, InvalidFile: as `locate`; or it is several datasets.
+    """
+    found = locate(str(source)).only()
+    if found.pictures:
+        rows = _of_pictures(found.pictures)
+    else:
+        rows = _of_states(found.states) if found.states else _of_episodes(found.episodes[0])
+    # which may be a stranger's
+    if not isinstance(rows.earlier, list) or not all(isinstance(one, dict) for one in rows.earlier):
+        given = f"{rows.earlier!r:.80}"
+        raise InvalidFile(f"{source}: its selection should be a list of objects, got {given}")
+    return rows
+
+
+def _of_states(path: Path) -> _Rows:
+    states = read_states(path)
+    flat = {name.replace("/", "."): own for name, own in states.table.items() if own.ndim == 1}
+    ropes = states.source.get("seed", np.arange(len(states))[:, None])
+    return _Rows(
+        states,
+        path,
+        len(states),
+        states.attributes.get("selection", []),
+        lambda: {"row": np.arange(len(states)), **flat},
+        lambda: _families_and_ropes(states.points, ropes),
+        lambda rows, made, out: write_states(out, states.take(rows).replaced({}, selection=made)),
+    )
+
+
+def _of_pictures(path: Path) -> _Rows:
+    stored = column_names(shards(path)[0])
+    known = columns_among(stored)
+    table = read_table(path, columns=[n for n in known if n in stored and known[n] != "image"])
+    try:
+        earlier = json.loads((table.schema.metadata or {}).get(b"selection", b"[]"))
+    except ValueError as error:
+        raise InvalidFile(f"{path}: its selection isn't JSON: {error}") from error
+
+    def _columns() -> dict[str, NDArray[Any]]:
+        flat, kinds = table.flatten(), arrow("pyarrow.types")  # a struct becomes source.rope, ...
+        return {
+            name: np.array(values.to_pylist())
+            for name, values in zip(flat.column_names, flat.columns, strict=True)
+            if not kinds.is_nested(values.type)
+        }
+
+    def _shared() -> Ids:
+        own = _columns()
+        ropes = np.stack([own["source.seed"], own["source.rope"]], axis=1)
+        return _families_and_ropes(points_of(table), ropes)
+
+    def _write(rows: Ids, made: list[Any], out: Path) -> None:
+        taken = read_table(path).take(rows)
+        metadata = {**(taken.schema.metadata or {}), b"selection": json.dumps(made)}
+        out.write_bytes(parquet(taken.replace_schema_metadata(metadata)))
+
+    return _Rows(table, shards(path)[0], len(table), earlier, _columns, _shared, _write)
+
+
+def _of_episodes(path: Path) -> _Rows:
+    dataset = open_episodes(path)
+    (own, steps), task, facts = dataset.episodes, dataset.task, dataset.facts
+
+    def _columns() -> dict[str, NDArray[Any]]:
+        number = _single_of(dataset)
+        found = {
+            "episode": np.arange(own.rows),
+            **{name: values for name, values in own.items() if values.ndim == 1},
+            "goal_gauss_code": gauss_codes(own["goal_visits"]),
+            "task": np.array([one.task for one in task.singles])[number],
+            "nx": np.array([one.nx for one in task.singles])[number],
+            "split": np.full(own.rows, task.split),
+        }
+        if "visits" in steps:
+            first, last = dataset.episodes.offsets[:-1], dataset.episodes.last()
+            found |= {
+                "terminated": steps["terminated"][last - 1],
+                "truncated": steps["truncated"][last - 1],
+                "start_gauss_code": gauss_codes(steps["visits"][first]),
+                "final_gauss_code": gauss_codes(steps["visits"][last]),
+            }
+        return found
+
+    def _shared() -> Ids:
+        # states without crossings are shared by nearly all episodes
+        tangled = np.array([one.start_nx > 0 for one in task.singles])[_single_of(dataset)]
+        goals = np.where(own["goal_visits"].any(axis=1), own["goal"], -1)
+        return np.stack([np.where(tangled, own["start"], -1), goals], axis=1)
+
+    def _write(rows: Ids, made: list[Any], out: Path) -> None:
+        write_episodes(out, [dataset.episodes.select(rows)], task, {**facts, "selection": made})
+
+    earlier = dataset.attributes.get("selection", [])
+    return _Rows(dataset, dataset.path, own.rows, earlier, _columns, _shared, _write)
+
+
+def _families_and_ropes(points: Array, ropes: Ids) -> Ids:
+    """Number near-duplicates and, with other numbers, the ropes that rows are frames of."""
+    rope = np.unique(ropes, axis=0, return_inverse=True)[1].ravel()
+    return np.stack([families(points), len(points) + rope], axis=1)
+
+
+def _single_of(dataset: EpisodeDataset) -> Ids:
+    """Return which of `task.singles` each episode is of, by the crossings of its start and goal.
+
+    A recording doesn't hold the start's crossings, so there the first with the goal's is returned.
+    """
+    own, steps = dataset.episodes
+    goals = np.count_nonzero(own["goal_visits"], axis=1) // 2
+    first = dataset.episodes.offsets[:-1]
+    starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
+    unlike = [2 * (goals != one.goal_nx) + (starts != one.start_nx) for one in dataset.task.singles]
+    return np.argmin(unlike, axis=0)
+
+
+def _write_rows(
+    given: _Rows, source: str, rows: Ids, how: Mapping[str, Any], out: Path, overwrite: bool = False
+) -> Path:
+    """Write some rows, at least one, as a new file; return its path."""
+    if not len(rows):
+        raise InvalidInput(f"none of the {given.size} rows of {source} is left")
+    require_file(out, [resolve(source)], overwrite)
+    counts = {"sha256": sha256(given.digested), "rows": given.size, "kept": len(rows)}
+    made = {"from": source, **counts, **how, "knotgym": knotgym.__version__}
+    with atomic_write(out, overwrite=overwrite) as path:
+        given.write(rows, [*given.earlier, made], path)
+    return out
 
 
 def _shares(parts: str) -> dict[str, float]:
@@ -226,7 +400,7 @@ def _shares(parts: str) -> dict[str, float]:
     return shares
 
 
-def _groups(shared: Rows) -> Rows:
+def _groups(shared: Ids) -> Ids:
     """Number the groups of rows that share a number, directly or by way of others, from 0."""
     row, column = np.nonzero(shared >= 0)
     key = np.unique(shared[row, column], return_inverse=True)[1]
@@ -238,7 +412,7 @@ def _groups(shared: Rows) -> Rows:
     return np.unique(group, return_inverse=True)[1]
 
 
-def _dealt(groups: Rows, shares: Sequence[float], rng: np.random.Generator) -> Rows:
+def _dealt(groups: Ids, shares: Sequence[float], rng: np.random.Generator) -> Ids:
     """Return the part of each row: the largest groups first, each where the most is missing."""
     sizes = np.bincount(groups)
     missing = np.array(shares) * len(groups)
@@ -305,15 +479,8 @@ def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
 
     Tasks and nx may differ, and state files may have different names.
     """
-    require_alike(datasets, ("task", "nx", "states"))
-    first, wanted = datasets[0], _facts(datasets[0])
-    for other in datasets[1:]:
-        for name, value in _facts(other).items():
-            if value != wanted[name]:
-                raise InvalidInput(
-                    f"datasets to merge must have one {name}; {first.path} has {wanted[name]},"
-                    f" {other.path} has {value}"
-                )
+    require_alike(datasets, _facts)
+    first = datasets[0]
     tasks = {name: None for one in datasets for name in one.task.tasks}
     crossings = sorted({nx for one in datasets for nx in one.task.crossings})
     joint = replace(
@@ -328,7 +495,8 @@ def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
 
 def _facts(dataset: EpisodeDataset) -> dict[str, object]:
     states = _states(dataset)
-    return {
+    settings = {n: v for n, v in vars(dataset.task).items() if n not in ("task", "nx", "states")}
+    return settings | {
         "rope model": dataset.attributes.get("rope"),
         "form": dataset.attributes["form"],
         "state file, by its SHA-256": sha256(states) if states else dataset.task.states,

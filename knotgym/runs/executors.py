@@ -65,14 +65,8 @@ class _Processes(ProcessPoolExecutor):
         super().__init__(workers, mp_context=context, initializer=_serve, initargs=(self.ended,))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
-        with _uninterrupted(), _safe_path():  # this may start a process
+        with _starting():  # this may start a process
             return super().submit(fn, *args, **kwargs)
-
-    def end(self) -> None:
-        """End the processes without waiting for their work."""
-        for process in list((getattr(self, "_processes", None) or {}).values()):
-            process.terminate()
-        self.shutdown(wait=False, cancel_futures=True)
 
 
 @contextmanager
@@ -99,27 +93,34 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
         yield pool
         pool.shutdown()
     except BaseException:
-        pool.end()
+        for process in list((getattr(pool, "_processes", None) or {}).values()):
+            process.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
         raise
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Delay SIGINT and SIGTERM until the block ends.
+def _starting() -> Iterator[None]:
+    """Start Python processes in the block.
 
-    Otherwise a process that is just starting would print a traceback of its own.
+    SIGINT and SIGTERM are delayed until it ends: a process that is just starting would print a
+    traceback of its own. And no process imports from the current folder, which multiprocessing's
+    `python -c` would put first on the path.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     received: list[tuple[int, Any]] = []
+    is_main = threading.current_thread() is threading.main_thread()
     handlers = {
         number: signal.signal(number, lambda *arguments: received.append(arguments))
-        for number in (signal.SIGINT, signal.SIGTERM)
+        for number in ((signal.SIGINT, signal.SIGTERM) if is_main else ())
     }
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
     try:
         yield
     finally:
+        del os.environ[_SAFE_PATH]
+        if before is not None:
+            os.environ[_SAFE_PATH] = before
         for number, handler in handlers.items():
             signal.signal(number, handler or signal.SIG_DFL)
         if received:
@@ -132,7 +133,7 @@ def _context() -> multiprocessing.context.BaseContext:
     Workers leave SIGINT to their parent. It is blocked while the server starts, and the server and
     its workers inherit that, so that no worker is interrupted before it can ignore the signal.
     """
-    with _uninterrupted(), _safe_path():
+    with _starting():
         # Start the tracker first: if the server started it, that would unblock the signals here.
         sys.warnoptions.append(_IGNORED_WARNING)  # child processes inherit warning options
         try:
@@ -145,23 +146,6 @@ def _context() -> multiprocessing.context.BaseContext:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     return multiprocessing.get_context("forkserver")
-
-
-@contextmanager
-def _safe_path() -> Iterator[None]:
-    """Keep Python processes started in this block from importing from the current folder.
-
-    Multiprocessing starts them with `python -c`, which puts that folder first on the path.
-    """
-    before = os.environ.get(_SAFE_PATH)
-    os.environ[_SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_SAFE_PATH]
-        else:
-            os.environ[_SAFE_PATH] = before
 
 
 def _serve(ended: Any) -> None:

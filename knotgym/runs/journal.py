@@ -19,7 +19,8 @@ import mmap
 import os
 import stat
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections import ChainMap
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from math import prod
 from pathlib import Path
@@ -53,7 +54,7 @@ _LONGEST = 1 << 14  # bytes of an array's header
 _LOCAL, _ZIP64, _PADDING = 30, 20, 0xD935  # sizes of headers in bytes; id of a field to skip
 
 
-class Journal:
+class Journal(ChainMap[str, Result]):
     """Results by key: those of one folder, which grows, and of others, which are only read.
 
     It is a context manager that closes itself. Results are read-only. It holds the lock of its
@@ -82,7 +83,7 @@ class Journal:
         restart: bool = False,
     ) -> None:
         self.path, self._run = Path(path), json.loads(json.dumps(run))
-        self._own: dict[str, Result] = {}
+        super().__init__({}, {})  # those of this folder, and of the others
         with suppress(FileExistsError):  # a link or a file is refused below
             self.path.mkdir(parents=True, exist_ok=True)
         try:
@@ -98,39 +99,26 @@ class Journal:
             for left in () if resume else _work(self.path):
                 left.unlink()
             (self.path / _PART).unlink(missing_ok=True)
-            self._others = {k: v for other in others for k, v in self._read(Path(other)).items()}
+            for other in others:
+                self.maps[1].update(self._read(Path(other)))
             if self.is_empty:  # then it doesn't matter which run has begun here
                 self._lock.truncate(0)
                 self._lock.write(json.dumps({**_HEAD, "run": self._run}).encode())
                 self._lock.flush()
-            self._own = self._read(self.path)
+            self.maps[0].update(self._read(self.path))
         except BaseException as error:
             # where another process has the lock, nothing is ours to remove
             is_ours = not isinstance(error.__cause__, BlockingIOError) and self.is_held
             if is_ours and self.is_empty:
                 remove(self.path)
-            self.close()
+            self._lock.close()
             raise
 
     def __enter__(self) -> "Journal":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._own or key in self._others
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the keys."""
-        return iter({**self._others, **self._own})
-
-    def __len__(self) -> int:
-        return len({**self._others, **self._own})
-
-    def __getitem__(self, key: str) -> Result:
-        """Return a result; its arrays are read-only."""
-        return self._own[key] if key in self._own else self._others[key]
+        self._lock.close()  # results stay mapped
 
     def __setitem__(self, key: str, result: Result) -> None:
         """Add a result, or replace that of the same key.
@@ -150,12 +138,12 @@ class Journal:
         whole = _read(target, check=False)
         if whole is None:
             raise InvalidFile(f"{target} was changed while it was written")
-        self._own[key] = whole
+        self.maps[0][key] = whole
 
     def __delitem__(self, key: str) -> None:
         """Forget a result of this folder; one that isn't there is none."""
         self._path_of(key).unlink(missing_ok=True)
-        self._own.pop(key, None)
+        self.maps[0].pop(key, None)
 
     @property
     def is_empty(self) -> bool:
@@ -170,10 +158,6 @@ class Journal:
             return os.path.samestat(there, os.fstat(self._lock.fileno()))
         except (OSError, ValueError):
             return False
-
-    def close(self) -> None:
-        """Let other processes write; results stay mapped."""
-        self._lock.close()
 
     def _path_of(self, key: str) -> Path:
         return self.path / f"{quote(key, safe=' ,:')}{_SUFFIX}"

@@ -115,20 +115,15 @@ class Progress:
         more = f"; time left {timedelta(seconds=round(left))}" if left else ""
         return f"{task.description}: {facts}{more}"
 
-    def say(self, text: str) -> None:
-        """Print a permanent line."""
-        if not self._quiet:
-            self.console.print(text, soft_wrap=True, highlight=False, markup=False)
+    def say(self, *lines: str) -> None:
+        """Print permanent lines."""
+        for line in lines if not self._quiet else ():
+            self.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _tell(self, line: str) -> None:
         self._told = self._clock()
         line = f"{self._clock() - self._began:5.0f} s  {line}"
         self._printed.print(line, soft_wrap=True, highlight=False, markup=False)
-
-    def say_how_to_load(self, lines: Sequence[str]) -> None:
-        """Print the lines of code that load the output."""
-        for line in ("to load it:", *(f"    {line}" for line in lines)):
-            self.say(line)
 
     def stage(
         self, name: str, done: Done = 0, total: int = 0, facts: Mapping[str, object] = _NONE

@@ -70,8 +70,8 @@ class Call(NamedTuple):
 
 Recipe = Generator[Sequence[Call], list[Result], Output]
 Count = Callable[[Result], Mapping[str, int]]  # what progress adds up of a result
-# stage, how many items are done by now, total, new result
-OnProgress = Callable[[str, Callable[[], int], int, Result | None], None]
+# call, how many items of its stage are done by now, their total, new result
+OnProgress = Callable[[Call, Callable[[], int], int, Result | None], None]
 
 
 def compute(
@@ -97,7 +97,13 @@ def compute(
         Failed: results of other shards are missing.
     """
     memo = {} if memo is None else memo
-    show = _shown_on(progress or Progress(quiet=True), count)
+    progress, totals = progress or Progress(quiet=True), Counter[str]()
+
+    def _show(call: Call, done: Callable[[], int], total: int, result: Result | None) -> None:
+        if count is not None and result is not None:
+            totals.update(count(result))
+        progress.stage(_stage(call), done, total, totals)
+
     results: list[Result] | None = None
     while True:
         try:
@@ -105,7 +111,7 @@ def compute(
         except StopIteration as end:
             output: Output = end.value
             return output
-        _complete(shard.dealt(calls), memo, pool or InProcess(), show)
+        _complete(shard.dealt(calls), memo, pool or InProcess(), _show)
         missing = [index for index, call in enumerate(calls) if call.key not in memo]
         if missing:
             recipe.close()
@@ -296,7 +302,7 @@ def _complete(
     left, done, total = [], 0, sum(call.items for call in calls)
     ended, kept, begun = Counts.from_now(pool=pool), 0, 0
 
-    def by_now() -> int:
+    def _by_now() -> int:
         # calls may count the items that they have ended, and a call that is finished counts as all
         finished = done - kept
         return done + max(0, min(begun, ended()) - finished)
@@ -304,13 +310,13 @@ def _complete(
     for call in calls:
         if call.key in memo:
             done, kept = done + call.items, kept + call.items
-            show(_stage(call), by_now, total, memo[call.key])
+            show(call, _by_now, total, memo[call.key])
         else:
             left.append(call)
     waiting, running = iter(left), dict[Future[Result], Call]()
     ahead = _AHEAD * int(getattr(pool, "workers", 4)) if not isinstance(pool, InProcess) else 1
     if left:
-        show(_stage(left[0]), by_now, total, None)
+        show(left[0], _by_now, total, None)
     while True:
         for call in islice(waiting, ahead - len(running)):
             begun += call.items
@@ -321,7 +327,7 @@ def _complete(
             call, result = running.pop(future), future.result()
             memo[call.key] = result
             done += call.items
-            show(_stage(call), by_now, total, result)
+            show(call, _by_now, total, result)
 
 
 def _stage(call: Call) -> str:
@@ -331,15 +337,3 @@ def _stage(call: Call) -> str:
     'episodes'
     """
     return call.key.rpartition(" ")[0] or call.key
-
-
-def _shown_on(progress: Progress, count: Count | None) -> OnProgress:
-    """Return what shows the progress of `compute`, with the sums of what `count` returns."""
-    totals: Counter[str] = Counter()
-
-    def _show(stage: str, done: Callable[[], int], total: int, result: Result | None) -> None:
-        if count is not None and result is not None:
-            totals.update(count(result))
-        progress.stage(stage, done, total, totals)
-
-    return _show

@@ -69,14 +69,6 @@ def test_what_is_no_file_has_no_checksum(tmp_path: Path) -> None:
             sha256(path)
 
 
-@pytest.fixture(params=[True, False], ids=["renameat2", "in steps"])
-def renames(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With and without the system's exchange of two paths."""
-    if not request.param:
-        monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: None)
-
-
-@pytest.mark.usefixtures("renames")
 def test_an_output_is_replaced_whole_and_only_if_asked(tmp_path: Path) -> None:
     for folder in (True, False):
         target = tmp_path / str(folder)
@@ -91,7 +83,6 @@ def test_an_output_is_replaced_whole_and_only_if_asked(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.usefixtures("renames")
 def test_what_another_process_made_meanwhile_is_kept(tmp_path: Path) -> None:
     with pytest.raises(Occupied), atomic_write(tmp_path / "a", overwrite=False) as part:
         part.mkdir()

@@ -12,8 +12,7 @@ import knotgym
 from knotgym.common import InvalidInput, MissingFile
 from knotgym.datasets import Episodes, delete, open_episodes, select, split
 from knotgym.datasets.minari_form import MinariMetadata, publish
-from knotgym.datasets.selectable import write_rows
-from knotgym.datasets.subsets import _matching_rows, kept, merge
+from knotgym.datasets.subsets import _matching_rows, _write_rows, kept, merge
 from knotgym.states import read_states, shipped, write_states
 
 COLUMNS = {
@@ -143,7 +142,7 @@ def test_parts_are_replaced_together_or_not_at_all(
 
     def second_fails(*words: Any) -> Path:
         if calls.pop():
-            return write_rows(*words)
+            return _write_rows(*words)
         raise KeyboardInterrupt
 
     def cut(seed: int) -> None:
@@ -151,7 +150,7 @@ def test_parts_are_replaced_together_or_not_at_all(
 
     cut(0)
     before = {file: file.read_bytes() for file in root.rglob("*.h5")}
-    monkeypatch.setattr("knotgym.datasets.subsets.write_rows", second_fails)
+    monkeypatch.setattr("knotgym.datasets.subsets._write_rows", second_fails)
     with pytest.raises(KeyboardInterrupt):
         cut(1)
     assert {file: file.read_bytes() for file in root.rglob("*.h5")} == before and len(before) == 2

@@ -133,16 +133,16 @@ def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: boo
         InvalidInput: there is no such format, or it has no place for this kind of dataset.
         Occupied: the output exists, and `overwrite` is False.
     """
-    from knotgym.datasets.located import locate, refuse_minaris_folder
+    from knotgym.datasets.located import locate, require_file
 
     if form not in EXPORTS:
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTS)}")
     chosen, given = EXPORTS[form], locate(named)
     is_file = chosen.output == "file" and len(given.episodes) < 2
     if chosen.output == "file":
-        refuse_minaris_folder(out)
-    if chosen.output != "beside":
-        require_output(out, folder=not is_file, overwrite=overwrite, reads=[given.root])
+        require_file(out, [given.root], overwrite, folder=not is_file)
+    elif chosen.output == "folder":
+        require_output(out, folder=True, overwrite=overwrite, reads=[given.root])
     if chosen.needs and not getattr(given, chosen.needs):
         raise InvalidInput(f"{given.title} contains no {chosen.needs}")
     write = chosen.function
