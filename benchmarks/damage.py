@@ -73,7 +73,7 @@ KINDS = {
                         f"{PLAYED} --policy noisy --out right.json"), "v.json",
                        "compare v.json right.json"),
     "journal": Kind((f"{STATES} --set run.shard=1/2 --out j", f"{STATES} --set run.shard=2/2"
-                     " --resume --out j"), "*.npz", f"{STATES} --resume --out j", "j"),
+                     " --resume --out j"), "*.npy", f"{STATES} --resume --out j", "j"),
     "policy": Kind((f"{CLONE} --out l",), "policy.json", f"{PLAYED} --policy l --out v.json",
                    "v.json"),
     "weights": Kind((f"{CLONE} --out l",), "*.safetensors", f"{PLAYED} --policy l --out v.json",

@@ -1,4 +1,3 @@
-from .all_faults import faults as faults
 from .cards import finish as finish
 from .cards import in_words as in_words
 from .cards import suite_card as suite_card
@@ -22,10 +21,10 @@ from .episodes import gauss_codes as gauss_codes
 from .exports import export as export
 from .exports import export_help as export_help
 from .gallery import write_sheet as write_sheet
-from .image_rows import PictureRow as PictureRow
-from .image_rows import drawn_table as drawn_table
+from .image_table import PictureRow as PictureRow
 from .image_table import arrow as arrow
 from .image_table import decode as decode
+from .image_table import drawn_table as drawn_table
 from .image_table import encode as encode
 from .image_table import parquet as parquet
 from .image_table import read_rows as read_rows
@@ -39,6 +38,7 @@ from .minari_form import MinariMetadata as MinariMetadata
 from .minari_form import loading_lines as loading_lines
 from .minari_form import publish as publish
 from .page import write_page as write_page
+from .row_verification import faults as faults
 from .subsets import delete as delete
 from .subsets import kept as kept
 from .subsets import merge as merge

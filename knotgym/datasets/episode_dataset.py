@@ -161,9 +161,8 @@ class EpisodeDataset:
     @property
     def found_task(self) -> TaskConfig:
         """The task with the path of its states, so that its environment can be made."""
-        named = self.task.states
         own = self.task
-        return own if is_bundled(named) else replace(own, states=str(self.states_path()))
+        return own if is_bundled(own.states) else replace(own, states=str(self.states_path()))
 
     def states_path(self) -> Path:
         """Return the state file that the episodes were reset from, found by its digest.

@@ -29,8 +29,8 @@ from knotgym.common import (
 from knotgym.datasets.episode_dataset import EpisodeDataset, digests_of, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
-from knotgym.envs import EpisodeBatch, TaskConfig, task_sides
-from knotgym.rope import Array, Rope
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import Array
 from knotgym.states import NEAR, States, distances, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
@@ -212,13 +212,16 @@ def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
     own, steps, first = episodes.episodes, episodes.steps, episodes.offsets[:-1]
     numbers = dataset.numbers.tolist()
     chiral = gauss_codes(steps["visits"], steps["signs"])
-    wanted, shown = gauss_codes(own["goal_visits"]), label_many(_float64(own["goal_points"]))
+    wanted, shown = (
+        gauss_codes(own["goal_visits"]),
+        label_many(own["goal_points"].astype(np.float64)),
+    )
     begins = gauss_codes(steps["visits"][first])
     told = Counts.over(episodes.last().tolist(), "codes read again", own.rows)
     for row, last in enumerate(told):
         if str(shown[row]) != wanted[row]:
             yield f"episode {numbers[row]}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
-        second = pyknotid_code(_float64(steps["observation"][last])).chiral
+        second = pyknotid_code(steps["observation"][last].astype(np.float64)).chiral
         if second != chiral[last]:
             where = f"episode {numbers[row]}, step {own['length'][row]}"
             yield f"{where}: pyknotid reads {second!r}, the file says {chiral[last]!r}"
@@ -230,10 +233,6 @@ def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
             )
         elif begins[row] == wanted[row] and wanted[row]:
             yield f"episode {numbers[row]}: starts in its goal's code"
-
-
-def _float64(points: NDArray[Any]) -> NDArray[np.float64]:
-    return np.asarray(points, dtype=np.float64)
 
 
 def _counted(names: NDArray[Any]) -> dict[str, int]:
@@ -254,12 +253,14 @@ def _split_faults(dataset: EpisodeDataset) -> list[str]:
     aren't found is skipped; a dataset without its states is a fault.
     """
     try:
-        sides = _sides(dataset)
+        batch = EpisodeBatch(dataset.found_task)
     except KnotgymError as error:
-        return [f"{dataset.path}: its split can't be checked: {error}"]
-    own, task, rope = dataset.episodes.episodes, dataset.task, Rope(dataset.task.rope_config)
+        skipped = isinstance(error, MissingFile) and dataset.metadata is None
+        return [] if skipped else [f"{dataset.path}: its split can't be checked: {error}"]
+    own, task, rope = dataset.episodes.episodes, dataset.task, batch.simulation.rope
     faults: list[str] = []
-    for name, (states, allowed) in sides.items():
+    for name, states in (("start", batch.starts), ("goal", batch.goals)):
+        allowed = set(batch.rows[name].tolist())
         for row, named in enumerate(own[name].tolist()):
             if not 0 <= named < len(states):
                 fault = f"its {name} is row {named}, of {len(states)} states"
@@ -289,7 +290,7 @@ def shared_faults(
         numbers: of the rows.
     """
 
-    def both(row: int, other: int) -> str:
+    def _both(row: int, other: int) -> str:
         return f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]})"
 
     sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
@@ -297,12 +298,12 @@ def shared_faults(
         rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
         for i, k, apart in pairs_within(points[others], points[rows]):
             yield (
-                f"{both(rows[k], others[i])} are near-duplicates: {1000 * apart:.1f} mm apart at"
+                f"{_both(rows[k], others[i])} are near-duplicates: {1000 * apart:.1f} mm apart at"
                 " the best symmetry"
             )
     for other, row in repeated(ropes):
         if split[other] != split[row]:
-            yield f"{both(other, row)} come from one rope"
+            yield f"{_both(other, row)} come from one rope"
 
 
 def _duplicate_faults(dataset: EpisodeDataset) -> list[str]:
@@ -330,21 +331,6 @@ def _start_fault(points: Array, named: int, states: States, dataset: EpisodeData
     row = int(apart.argmin())
     near = apart[row] < _MATCH
     return f"its start is row {row}, which isn't of the {split} split" if near else ""
-
-
-def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]]]:
-    """Read the states, and the rows of them, that starts and goals are drawn from, as a reset."""
-    try:
-        task = dataset.found_task
-    except MissingFile:
-        if dataset.metadata is None:
-            return {}
-        raise
-    starts, goals = zip(*task_sides(task), strict=True)
-    return {
-        name: (same[0].states, np.unique(np.concatenate([one.rows for one in same])))
-        for name, same in (("start", starts), ("goal", goals))
-    }
 
 
 def _start_faults(dataset: EpisodeDataset) -> Iterator[str]:

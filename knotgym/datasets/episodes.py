@@ -128,13 +128,6 @@ class Shown(NamedTuple):
         return {name: of(self) if of else given[name] for name, of in wanted.items()}
 
 
-class Reached(NamedTuple):
-    """Codes that episodes reached, in order: the episode and the step of each, int64 (m,)."""
-
-    episode: NDArray[np.int64]
-    step: NDArray[np.int64]
-
-
 class Episodes(NamedTuple):
     """A set of episodes; a recording if `steps` holds pulls alone.
 
@@ -311,7 +304,7 @@ class Episodes(NamedTuple):
 
     def goals_reached(
         self, hold: int = 1, tow_limit: float | None = None, relabel: str = "all"
-    ) -> Reached:
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Find the steps at which an episode has shown a new code for `hold` consecutive states.
 
         The start's own code doesn't count, and each other code counts once, at its first such step.
@@ -320,6 +313,9 @@ class Episodes(NamedTuple):
             hold: consecutive states that must show the code.
             tow_limit: the task's; states from the first one beyond it on don't count.
             relabel: "all" steps, or the "last" of each episode.
+
+        Returns:
+            The episode and the step of each, int64 (m,).
         """
         if relabel not in RELABEL:
             known = " or ".join(map(repr, RELABEL))
@@ -330,7 +326,7 @@ class Episodes(NamedTuple):
         first = rows[np.sort(np.unique(pairs, return_index=True)[1])]
         if relabel == "last":
             first = first[np.diff(episode[first], append=-1) != 0]
-        return Reached(episode[first], first - offsets[episode[first]])
+        return episode[first], first - offsets[episode[first]]
 
     def goal_reached(self, task: TaskConfig) -> NDArray[np.bool_]:
         """Return which states show the goal for as many consecutive states as the task asks.

@@ -13,25 +13,29 @@ import struct
 import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import (
+    Counts,
     InvalidFile,
     MissingExtra,
     MissingFile,
+    Stream,
     one_line,
     require_no_links,
     require_regular,
 )
-from knotgym.quality import Quality
-from knotgym.rendering import APPEARANCES
-from knotgym.states import IMAGE_SPLITS
+from knotgym.quality import Limits, Quality, grade_of
+from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
+from knotgym.rope import Array
+from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest
 
 FORMAT = "knotgym-images"
 VERSION = 2  # 2: ropes are drawn by distance
@@ -46,6 +50,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _COLUMNS_FILE = files("knotgym.datasets") / "columns.toml"
 TABLES: dict[str, Any] = tomllib.loads(_COLUMNS_FILE.read_text("utf-8"))
 TABLES["pictures"]["quality"]["type"] = dict.fromkeys(Quality.UNITS, "float64")
+_CODES = STATES.only(*("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot"))
 COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
 
 
@@ -99,6 +104,65 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     pngs = _pngs(columns)
     full = [{**row, **{n: {"bytes": row[n], "path": None} for n in pngs}} for row in rows]
     return arrow().Table.from_pylist(full, schema=_schema(columns))
+
+
+class PictureRow(NamedTuple):
+    """A picture to render.
+
+    Attributes:
+        points: float64 (beads, 3), metres.
+        split: one of IMAGE_SPLITS.
+        source: as in `image_table.COLUMNS`; `seed` and `row` seed the appearance.
+        camera: tilt and heading of the camera in whose axes the points are, degrees.
+    """
+
+    points: Array
+    split: str
+    source: dict[str, Any]
+    camera: tuple[float, float] = (0.0, 0.0)
+
+
+def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
+    """Render rows as a pyarrow.Table."""
+    records = list[dict[str, Any]]()
+    for row in rows:
+        records.append(record(row, config))
+        Counts.end_item()
+    return table_of(records)
+
+
+def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
+    """Return all columns of a row by name, `image` as PNG bytes."""
+    source = row.source
+    rng = Stream.IMAGE_APPEARANCE.generator(source["seed"], source["row"])
+    drawn = Drawer.of(config.name).sampled(row.points, config, rng, row.camera)
+    return {
+        **derived(RopeAtRest(row.points), drawn),
+        "points": row.points.ravel().tolist(),
+        "appearance": {name: getattr(drawn.look, name) for name in COLUMNS["appearance"]},
+        "source": source,
+        "split": row.split,
+    }
+
+
+def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
+    """Return the columns that follow from a configuration and its picture."""
+    crossings = rope.crossings
+    positions = *drawn.pixels.T, crossings.over_place, crossings.under_place
+    columns = [column.tolist() for column in (*positions, crossings.sign)]
+    names = ("x", "y", "over_place", "under_place", "sign")
+    kinds = APPEARANCES[drawn.look.name].own_columns
+    images = {name for name, kind in kinds.items() if kind["type"] == "image"}
+    own = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
+    return {
+        **_CODES.derive(rope),
+        "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],
+        "accepted": not Limits().faults(rope.quality, crossings.nx),
+        "grade": grade_of(rope.quality.ease()),
+        "quality": asdict(rope.quality),
+        "image": encode(drawn.image, APPEARANCES[drawn.look.name].compression),
+        **own,
+    }
 
 
 def parquet(rows: Any) -> bytes:

@@ -193,7 +193,7 @@ def _read_whole(path: Path) -> str:
     """
     unread: list[str] = []
 
-    def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
+    def _look(name: str, item: h5py.Group | h5py.Dataset) -> None:
         try:
             dict(item.attrs)
             if isinstance(item, h5py.Dataset):
@@ -208,7 +208,7 @@ def _read_whole(path: Path) -> str:
     try:
         with h5py.File(path, "r", locking=False) as file:
             dict(file.attrs)
-            file.visititems(look)
+            file.visititems(_look)
     except Exception:  # as above
         pass
     return unread[0] if unread else ""

@@ -201,7 +201,8 @@ def write_minari(dataset: EpisodeDataset, data: Path) -> None:
                     found[name].add(values[: len(arrays["actions"])])
     entries = _minari_entries(dataset)
     entries["statistics"] = {
-        name: {what: list(map(_written, values)) for what, values in own.found().items()}
+        # the digits that tell one float32 from another
+        name: {what: [float(str(one)) for one in values] for what, values in own.found().items()}
         for name, own in found.items()
     }
     size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
@@ -318,7 +319,7 @@ def _minari_episodes(
     applied = share[:, None] * steps["force"].astype(np.float64)
     applied *= dataset.task.rope_config.max_force
 
-    def led(values: NDArray[Any], at_first: float = 0) -> NDArray[Any]:
+    def _led(values: NDArray[Any], at_first: float = 0) -> NDArray[Any]:
         """Move each pull's values to the state that it led to."""
         moved = np.roll(values, 1, axis=0)
         moved[offsets[:-1]] = at_first
@@ -333,13 +334,13 @@ def _minari_episodes(
         "is_success": dataset.episodes.goal_reached(dataset.task),
         "simulation_failed": failed,
         "points": steps["observation"],
-        "bead": led(steps["bead"].astype(np.int64), -1),
-        "force": led(applied),
-        "applied_share": led(share, 1),
+        "bead": _led(steps["bead"].astype(np.int64), -1),
+        "force": _led(applied),
+        "applied_share": _led(share, 1),
         **{name: steps[name] for name in ("expert_action",) if name in steps},
     }
     infos |= {  # columns that have no other place in Minari's form
-        c.name: steps[c.name] if c.of == "state" else led(steps[c.name])
+        c.name: steps[c.name] if c.of == "state" else _led(steps[c.name])
         for c in STEPS.columns
         if c.name in steps and c.name not in (*_PLACED, *infos)
     }
@@ -449,11 +450,6 @@ def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
 
 _TEXT, _CONTIGUOUS = h5py.string_dtype("utf-8"), _properties()
 _GROUP = _properties(h5p.GROUP_CREATE)
-
-
-def _written(value: np.float32) -> float:
-    """Return a number that JSON writes with the digits that tell one float32 from another."""
-    return float(str(value))
 
 
 def _same_json(found: Any, expected: Any) -> bool:

@@ -72,7 +72,7 @@ def _episode(
     from knotgym.rope import Rope
     from knotgym.topology import CodeArrays
 
-    def read(key: str) -> NDArray[Any]:
+    def _read(key: str) -> NDArray[Any]:
         require_stored_here(items[f"{name}/{key}"], key)
         return np.asarray(items[f"{name}/{key}"][()])
 
@@ -83,14 +83,14 @@ def _episode(
             " record with observation='state' or 'both'"
         )
     key = seen.name.removeprefix(f"/{name}/")
-    ropes, goals = np.moveaxis(read(key).reshape(-1, 2, task.beads, 3).astype(np.float32), 1, 0)
-    points, actions = ropes.astype(np.float64), read("actions").astype(np.float32)
+    ropes, goals = np.moveaxis(_read(key).reshape(-1, 2, task.beads, 3).astype(np.float32), 1, 0)
+    points, actions = ropes.astype(np.float64), _read("actions").astype(np.float32)
     sides, rope = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=2), task.rope_config
     if not (np.abs(sides - rope.bead_length) < 2 * rope.radius).all():
         raise InvalidInput(f"{path} holds observations that a wrapper changed: record vertices")
     pulls = len(points) - 1
-    terminated = read("terminations")
-    truncated = read("truncations") & ~terminated
+    terminated = _read("terminations")
+    truncated = _read("truncations") & ~terminated
     truncated[-1] = not terminated[-1]
     codes = CodeArrays.read(np.concatenate([points, goals[:1].astype(np.float64)]))
     sizes = {"beads": task.beads, "nq": Rope(rope).nq}
@@ -105,7 +105,7 @@ def _episode(
         "bead": nearest_beads(points[:pulls], rope.reach * actions[:, :3].astype(np.float64)),
         "force": np.clip(actions[:, 3:], -1, 1),
         "action": actions,
-        "reward": read("rewards"),
+        "reward": _read("rewards"),
         "terminated": terminated,
         "truncated": truncated,
         "applied_fraction": 1,

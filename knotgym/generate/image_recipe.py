@@ -2,7 +2,7 @@
 
 Ropes start in the states of a file and are pulled, wave after wave, until every quota is full.
 Frames are chosen one by one, then measured and rendered, one file of the table at a time
-(`datasets.image_rows`). All frames of a rope are in one split.
+(`datasets.image_table`). All frames of a rope are in one split.
 
 The Gauss code of a frame that may become a picture is certain, and the picture shows it. A frame
 may be reflected, switched (over and under exchanged), reversed and renumbered from any bead; all of

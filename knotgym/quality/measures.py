@@ -139,13 +139,13 @@ def _angle(points: Array, over: float, under: float) -> float:
     """
     beads = len(points)
 
-    def at(visit: float) -> Array:
+    def _at(visit: float) -> Array:
         bead = int(np.floor(visit))
         here, after = points[bead % beads, :2], points[(bead + 1) % beads, :2]
         return np.asarray(here + (visit - bead) * (after - here))
 
     # directions over two beads, because a single bead's direction jumps at joints
-    a, b = (at(visit + 1) - at(visit - 1) for visit in (over, under))
+    a, b = (_at(visit + 1) - _at(visit - 1) for visit in (over, under))
     # written out, because the last bit of `a @ b` depends on the processor
     cross, dot = a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1]
     return math.degrees(math.atan2(abs(cross), abs(dot)))  # NumPy's rounds by processor

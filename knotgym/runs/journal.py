@@ -1,15 +1,15 @@
-"""A journal keeps the results of a run by key: a folder with one NumPy archive for each result.
+"""A journal keeps the results of a run by key: a folder with one file of NumPy's for each result.
 
     run.json      identity of the run: what determines its output
-    KEY.npz       a result, its key percent-encoded
+    KEY.npy       a result, its key percent-encoded
     checkpoint    what a training keeps instead of results
 
 A file is written beside and renamed, so it is there whole or not at all, whenever the process is
-killed or the disk is full. An archive isn't compressed and its arrays begin at multiples of 64
-bytes, so that they can be mapped into memory; one map a result, because a map keeps a file open.
+killed or the disk is full. It holds one record whose fields are the result's arrays, so that they
+can be mapped into memory by one map, which keeps a file open, and after it the CRC-32 of all that.
 
-Reading executes nothing and follows no links. An archive that isn't whole, by its checksums and
-sizes, counts as missing: the run computes that result again.
+Reading executes nothing and follows no links. A file that isn't whole, by its checksum or sizes,
+counts as missing: the run computes that result again.
 """
 
 import fcntl
@@ -18,15 +18,13 @@ import json
 import mmap
 import os
 import stat
-import struct
+import zlib
 from collections import ChainMap
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from math import prod
 from pathlib import Path
 from typing import IO, Any
 from urllib.parse import quote, unquote
-from zipfile import ZIP_STORED, ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,13 +43,11 @@ Result = Mapping[str, NDArray[Any]]
 
 CHECKPOINT = "checkpoint"
 LEFT = "an interrupted run left its work in {}: --resume continues it, --restart deletes it"
-_HEAD = {"format": "knotgym journal", "format_version": 2}
-_RUN, _PART, _SUFFIX = "run.json", ".part", ".npz"
+_HEAD = {"format": "knotgym journal", "format_version": 3}
+_RUN, _PART, _SUFFIX = "run.json", ".part", ".npy"
 _KINDS = "biufUS"  # kinds of dtypes; objects would have to be unpickled
-_ALIGNED = 64
-_MAPPED = 1 << 18  # bytes; smaller archives are read, larger ones mapped
-_LONGEST = 1 << 14  # bytes of an array's header
-_LOCAL, _ZIP64, _PADDING = 30, 20, 0xD935  # sizes of headers in bytes; id of a field to skip
+_MAPPED = 1 << 18  # bytes; smaller files are read, larger ones mapped
+_LONGEST, _SUM = 1 << 14, 4  # bytes of a record's header and of its checksum
 
 
 class Journal(ChainMap[str, Result]):
@@ -232,53 +228,41 @@ def _opened(path: Path, flags: int, mode: str) -> IO[bytes]:
 
 
 def _write(file: IO[bytes], arrays: Result) -> None:
-    """Write an archive as `np.savez` does, but with aligned arrays and any names."""
-    with ZipFile(file, "w", ZIP_STORED) as archive:
-        for name, array in arrays.items():
-            entry = ZipInfo(f"{name}.npy")
-            at = file.tell() + _LOCAL + len(entry.filename.encode()) + _ZIP64 + 4
-            entry.extra = struct.pack("<HH", _PADDING, -at % _ALIGNED) + bytes(-at % _ALIGNED)
-            with archive.open(entry, "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+    """Write arrays as the fields of one record, and the checksum of that."""
+    fields = [(name, one.dtype, one.shape) for name, one in arrays.items()]
+    record, whole = np.zeros((), np.dtype(fields, align=True)), io.BytesIO()
+    for name, one in arrays.items():
+        record[name] = one
+    np.lib.format.write_array(whole, record, (1, 0), allow_pickle=False)
+    file.write(whole.getvalue() + zlib.crc32(whole.getvalue()).to_bytes(_SUM, "little"))
 
 
 def _read(path: Path, check: bool = True) -> Result | None:
-    """Return the arrays of an archive, read-only; None if it isn't whole.
+    """Return the arrays of a result, read-only; None if it isn't whole.
 
     Args:
         path: the file.
-        check: whether to compare checksums, which reads all of it.
+        check: whether to compare the checksum, which reads all of it.
     """
-    arrays: dict[str, NDArray[Any]] = {}
     try:
-        with _opened(path, os.O_RDONLY, "rb") as file, ZipFile(file) as archive:
+        with _opened(path, os.O_RDONLY, "rb") as file:
             if os.fstat(file.fileno()).st_size > _MAPPED:
                 data: Any = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             else:
-                file.seek(0)
                 data = file.read()
-            entries = archive.infolist()
-            # a compressed member could expand without end
-            if any(one.compress_type != ZIP_STORED for one in entries):
-                return None
-            if check and archive.testzip() is not None:
-                return None
-            for one in entries:
-                lengths = struct.unpack_from("<HH", data, one.header_offset + _LOCAL - 4)
-                begin = one.header_offset + _LOCAL + sum(lengths)
-                end = begin + one.file_size
-                head = io.BytesIO(data[begin : min(end, begin + _LONGEST)])
-                is_known = np.lib.format.read_magic(head) == (1, 0)
-                shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(head)
-                at = begin + head.tell()
-                is_whole = at + dtype.itemsize * prod(shape) == end
-                if not is_known or is_fortran or dtype.kind not in _KINDS or not is_whole:
-                    return None
-                arrays[one.filename.removesuffix(".npy")] = np.ndarray(shape, dtype, data, at)
+        stored = int.from_bytes(data[-_SUM:], "little")
+        if check and zlib.crc32(memoryview(data)[:-_SUM]) != stored:
+            return None
+        head = io.BytesIO(data[:_LONGEST])
+        is_known = np.lib.format.read_magic(head) == (1, 0)
+        shape, _, dtype = np.lib.format.read_array_header_1_0(head)
+        if not is_known or dtype.names is None or dtype.hasobject:
+            return None
+        record = np.ndarray(shape, dtype, data, head.tell())
+        return {name: record[name] for name in dtype.names}
     except OSError as error:
         if error.errno is not None and not path.is_symlink():
             raise
         return None
-    except Exception:  # there is no end to what foreign bytes make these libraries raise
+    except Exception:  # there is no end to what foreign bytes make NumPy raise
         return None
-    return arrays

@@ -26,7 +26,7 @@ from knotgym.common import (
     write_tables,
 )
 from knotgym.rope import MUJOCO
-from knotgym.states.near_duplicates import nearest, repeated, spread_of
+from knotgym.states.near_duplicates import repeated, spread_of
 from knotgym.states.resolving import resolve_states
 from knotgym.states.schema import (
     ATTRIBUTES,
@@ -216,30 +216,6 @@ class States:
         }
         own = train if base == "train" else test
         return rows[[(form in held) == (base == "test") for form in own]]
-
-    def overlap(self, nx: int) -> dict[str, Any]:
-        """Measure what the test states of an nx share with train.
-
-        Returns:
-            Values for JSON: "test_states", their number; "code_in_train", how many have a code
-            (without chirality) of a train state of the same nx; "diagram_in_train", the same up to
-            symmetry (`topology.canonical`); "nearest", the smallest distance in metres to any train
-            state of the file at the best symmetry (`near_duplicates`), None if a split is empty.
-        """
-        train, test = (self.rows(nx, split) for split in STATE_SPLITS)
-        texts = (self.gauss_code[rows].tolist() for rows in (train, test))
-        known, asked = ([*map(GaussCode.parse, own)] for own in texts)
-        diagrams = {canonical(code, Symmetry.DIAGRAM) for code in known}
-        forms = [canonical(code, Symmetry.DIAGRAM) for code in asked]
-        every, near = np.flatnonzero(self.split == "train"), None
-        if len(test) and len(every):
-            near = float(nearest(self.points[test], self.points[every])[0].min())
-        return {
-            "test_states": len(test),
-            "code_in_train": sum(code in {*known} for code in asked),
-            "diagram_in_train": sum(form in diagrams for form in forms),
-            "nearest": near,
-        }
 
     def spread(self, nx: int) -> dict[str, Any]:
         """Measure how diverse the states with nx crossings are, see `near_duplicates.spread_of`."""

@@ -165,7 +165,7 @@ def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()
         assert "interrupted run" in line and "--resume" in line and "--restart" in line
-        assert (left / "journal/one.npz").is_file()
+        assert (left / "journal/one.npy").is_file()
     assert typed(name, "--resume") == 2  # a journal of another run
     capfd.readouterr()
     shutil.rmtree(left)

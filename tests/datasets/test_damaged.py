@@ -15,8 +15,7 @@ from synthetic_pictures import picture_rows
 from knotgym.cli import main
 from knotgym.common import InvalidFile
 from knotgym.datasets import columns_of, locate, open_episodes, write_episodes
-from knotgym.datasets.image_rows import record
-from knotgym.datasets.image_table import parquet, table_of
+from knotgym.datasets.image_table import parquet, record, table_of
 from knotgym.datasets.subsets import merge
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped

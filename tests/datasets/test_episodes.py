@@ -86,15 +86,15 @@ def test_differences_name_episode_step_and_column() -> None:
     st.integers(1, 3),
 )
 def test_goals_are_those_found_step_by_step(shown: list[list[int]], hold: int) -> None:
-    found = showing(*shown).goals_reached(hold)
+    episode, step = showing(*shown).goals_reached(hold)
     pairs = [(k, step) for k, one in enumerate(shown) for step in naive(one, hold)]
-    assert sorted(zip(found.episode.tolist(), found.step.tolist(), strict=True)) == pairs
+    assert sorted(zip(episode.tolist(), step.tolist(), strict=True)) == pairs
 
 
 def test_last_keeps_one_goal_of_each_episode() -> None:
     made = showing([0, 1, 2, 1], [0, 0], [1, 0])
-    found = made.goals_reached(relabel="last")
-    assert found.episode.tolist() == [0, 2] and found.step.tolist() == [2, 1]
+    episode, step = made.goals_reached(relabel="last")
+    assert episode.tolist() == [0, 2] and step.tolist() == [2, 1]
 
 
 def test_states_beyond_the_tow_limit_are_no_goals() -> None:
@@ -102,4 +102,4 @@ def test_states_beyond_the_tow_limit_are_no_goals() -> None:
     points = np.zeros_like(made.steps["observation"])
     points[2:] += 1
     made = made._replace(steps=made.steps.replaced(observation=points))
-    assert made.goals_reached(tow_limit=0.5).step.tolist() == [1]
+    assert made.goals_reached(tow_limit=0.5)[1].tolist() == [1]

@@ -13,8 +13,8 @@ from synthetic_pictures import picture_rows
 
 from knotgym.common import InvalidFile
 from knotgym.datasets import image_table as tables
-from knotgym.datasets.image_rows import drawn_table, image_faults
-from knotgym.datasets.image_table import decode, encode, read_table
+from knotgym.datasets.image_table import decode, drawn_table, encode, read_table
+from knotgym.datasets.row_verification import image_faults
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 

@@ -111,7 +111,9 @@ def test_only_replays_that_differ_may_be_another_machines_rounding(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, faults: list[str]
 ) -> None:
     written(tmp_path)
-    monkeypatch.setattr("knotgym.datasets.all_faults.folder_faults", lambda *given: iter(faults))
+    monkeypatch.setattr(
+        "knotgym.datasets.row_verification.folder_faults", lambda *given: iter(faults)
+    )
     told = list(dataset_faults(tmp_path))[1:]
     assert len(told) == isinstance(faults[0], ReplayFault) and all(
         "other machines" in o for o in told

@@ -13,10 +13,10 @@ from synthetic_pictures import picture_rows
 from knotgym.control import replay
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.exports import export
-from knotgym.datasets.image_rows import _redrawn, _row_faults, drawn_table
-from knotgym.datasets.image_table import decode, parquet, read_rows
+from knotgym.datasets.image_table import decode, drawn_table, parquet, read_rows
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import page_data, page_html
+from knotgym.datasets.row_verification import _picture_faults, _redrawn
 from knotgym.rendering import AppearanceConfig, Drawer
 from knotgym.states import read_states, shipped
 
@@ -46,7 +46,7 @@ def test_a_photo_and_its_answers_are_taken_again_from_its_row(rows: list[dict[st
         again = _redrawn(np.reshape(row["points"], (-1, 3)), row)
         assert np.array_equal(decode(row["image"]), again.image)
         assert np.array_equal(decode(row["strands"])[..., 0], again.columns["strands"])
-        assert [*_row_faults(dict(row))] == []
+        assert [*_picture_faults(dict(row))] == []
         assert 0 < row["photo"]["tilt"] <= 25 and row["photo"]["marked"]
 
 
@@ -69,13 +69,13 @@ def test_a_spoilt_answer_is_found(rows: list[dict[str, Any]], column: str) -> No
         "photo": rows[0]["photo"] | {"order": 99.0},
     }
     assert any(
-        fault.startswith(column) for fault in _row_faults(rows[0] | {column: changed[column]})
+        fault.startswith(column) for fault in _picture_faults(rows[0] | {column: changed[column]})
     )
 
 
 def test_a_photo_with_a_thousand_shapes_and_more_is_refused(rows: list[dict[str, Any]]) -> None:
     spoilt = rows[0] | {"photo": rows[0]["photo"] | {"clutter": 10**9}}
-    assert [*_row_faults(spoilt)] == ["photo.clutter is 1000000000, should be -1000 to 1000"]
+    assert [*_picture_faults(spoilt)] == ["photo.clutter is 1000000000, should be -1000 to 1000"]
 
 
 def test_croissant_describes_every_factor_of_a_photo(

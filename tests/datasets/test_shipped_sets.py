@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, InvalidInput
-from knotgym.datasets.state_verification import state_faults
+from knotgym.datasets.row_verification import state_faults
 from knotgym.envs import KnotEnv
 from knotgym.states import States, read_states, shipped
 from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, shows

@@ -13,7 +13,7 @@ from synthetic_episodes import TINY
 from knotgym.common import Table
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import _duplicate_faults, _split_faults
-from knotgym.datasets.state_verification import _demonstration_faults
+from knotgym.datasets.row_verification import _demonstration_faults
 from knotgym.states import States, read_states, shipped
 
 

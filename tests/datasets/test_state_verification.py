@@ -10,7 +10,7 @@ import pytest
 
 from knotgym.common import sha256
 from knotgym.control import replay
-from knotgym.datasets.state_verification import folder_faults, state_faults
+from knotgym.datasets.row_verification import folder_faults, state_faults
 from knotgym.states import States, read_states, shipped, write_states
 
 ENDS_ELSEWHERE = "replay of its start and actions does not end in qpos bit for bit"

@@ -89,12 +89,12 @@ def test_a_batch_is_rows_of_the_arrays_or_halves_of_them(made: Episodes, path: P
 
 
 def test_hindsight_cuts_at_every_code_that_was_reached(made: Episodes, path: Path) -> None:
-    held, at = arrays(path, relabel="all"), made.goals_reached()
-    assert len(held["rewards"]) == at.step.sum()
-    ends = np.cumsum(at.step) - 1
+    held, (episode, step) = arrays(path, relabel="all"), made.goals_reached()
+    assert len(held["rewards"]) == step.sum()
+    ends = np.cumsum(step) - 1
     assert np.flatnonzero(held["terminals"]).tolist() == ends.tolist()
     assert held["rewards"].tolist() == (5.0 * held["terminals"]).tolist()
-    shown = made.steps["observation"][made.offsets[at.episode] + at.step].reshape(len(ends), -1)
+    shown = made.steps["observation"][made.offsets[episode] + step].reshape(len(ends), -1)
     for name in ("observations", "next_observations"):
         np.testing.assert_array_equal(held[name][ends][:, 3 * BEADS :], shown)
     np.testing.assert_array_equal(held["next_observations"][ends][:, : 3 * BEADS], shown)

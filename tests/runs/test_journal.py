@@ -3,9 +3,9 @@
 import errno
 import os
 import random
+import zlib
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import pytest
@@ -48,8 +48,8 @@ def test_results_come_back_as_they_were_and_read_only(tmp_path: Path) -> None:
             assert not found.flags.writeable and found.flags.aligned
         journal["new"] = {"x": np.arange(3.0)}
         assert not journal["new"]["x"].flags.writeable
-    with np.load(tmp_path / "j/part 1.npz") as archive:  # a plain archive of NumPy's
-        np.testing.assert_array_equal(archive["file"], RESULT["file"])
+    record = np.load(tmp_path / "j/part 1.npy")  # a plain file of NumPy's
+    np.testing.assert_array_equal(record["file"], RESULT["file"])
 
 
 def test_any_key_is_kept_inside_the_folder(tmp_path: Path) -> None:
@@ -64,21 +64,17 @@ def test_any_key_is_kept_inside_the_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "j"]
 
 
-def test_an_archive_that_is_cut_or_changed_anywhere_is_missing(tmp_path: Path) -> None:
+def test_a_result_that_is_cut_or_changed_anywhere_is_missing(tmp_path: Path) -> None:
     whole, rng = written(tmp_path / "j"), random.Random(2)
-    size = len(whole["part 1.npz"])
+    size = len(whole["part 1.npy"])
     for at in [0, 1, *(rng.randrange(size) for _ in range(60)), size - 1]:
-        changed = bytearray(whole["part 1.npz"])
+        changed = bytearray(whole["part 1.npy"])
         changed[at] ^= 1 << rng.randrange(8)
-        for damaged in (whole["part 1.npz"][:at], bytes(changed)):
-            (tmp_path / "j/part 1.npz").write_bytes(damaged)
+        for damaged in (whole["part 1.npy"][:at], bytes(changed)):
+            (tmp_path / "j/part 1.npy").write_bytes(damaged)
             with Journal(tmp_path / "j", RUN) as journal:
                 assert "part 0" in journal
-                if "part 1" in journal:  # where the byte has no meaning, such as a date
-                    assert journal["part 1"].keys() == {"key", *RESULT}
-                    for name, array in RESULT.items():
-                        assert journal["part 1"][name].dtype == array.dtype
-                        np.testing.assert_array_equal(journal["part 1"][name], array)
+                assert "part 1" not in journal
                 journal["part 1"] = {"key": np.full(1000, 1), **RESULT}
             assert content(tmp_path / "j") == whole
 
@@ -164,12 +160,10 @@ def test_objects_are_not_kept(tmp_path: Path) -> None:
         "(" * 10_000,
     ],
 )
-def test_an_archive_that_no_run_writes_is_missing(head: str, tmp_path: Path) -> None:
+def test_a_result_that_no_run_writes_is_missing(head: str, tmp_path: Path) -> None:
     written(tmp_path / "j", keys=1)
-    expands = "100000000" in head
-    whole = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head.encode()
-    with ZipFile(tmp_path / "j/a.npz", "w", ZIP_DEFLATED if expands else ZIP_STORED) as archive:
-        archive.writestr("x.npy", whole + bytes(100_000_000 if expands else 64))
+    whole = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head.encode() + bytes(64)
+    (tmp_path / "j/a.npy").write_bytes(whole + zlib.crc32(whole).to_bytes(4, "little"))
     with Journal(tmp_path / "j", RUN) as journal:
         assert list(journal) == ["part 0"]
 
@@ -219,8 +213,8 @@ def test_a_path_that_is_no_folder_of_a_journal_is_one_line(kind: str, tmp_path: 
 @pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder"])
 def test_a_result_that_is_no_file_is_missing_and_replaced(kind: str, tmp_path: Path) -> None:
     before = written(tmp_path / "j")
-    (tmp_path / "mine").write_bytes(before["part 1.npz"])
-    result = tmp_path / "j/part 1.npz"
+    (tmp_path / "mine").write_bytes(before["part 1.npy"])
+    result = tmp_path / "j/part 1.npy"
     result.unlink()
     if kind == "a link":
         result.symlink_to(tmp_path / "mine")

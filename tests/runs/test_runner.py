@@ -264,7 +264,7 @@ def test_no_other_user_can_plant_files_in_the_folder(tmp_path: Path) -> None:
 
 def _size(journal: Path) -> int:
     """The number of results."""
-    return sum(name.endswith(".npz") for *_, names in os.walk(journal) for name in names)
+    return sum(name.endswith(".npy") for *_, names in os.walk(journal) for name in names)
 
 
 def test_a_disk_without_locks_is_one_line_and_nothing_is_left(

@@ -20,8 +20,8 @@ import knotgym
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES, Quality
-from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, read_states
-from knotgym.topology import GaussCode
+from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, nearest, read_states
+from knotgym.topology import GaussCode, Symmetry, canonical
 
 if TYPE_CHECKING:
     from knotgym.datasets.located import Located
@@ -59,7 +59,7 @@ def plain(text: object) -> str:
     return re.sub(r"(?i)\b(www)\.", r"\1&#46;", escaped)
 
 
-def code_span(text: object) -> str:
+def _code_span(text: object) -> str:
     """Quote untrusted text as inline code; only a backtick or a table's bar could end it."""
     return "`" + _one_printable_line(text).replace("`", "'").replace("|", "\\|") + "`"
 
@@ -287,7 +287,7 @@ def finish(
 def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
     found = {name: one.markdown() for name, one in _state_tables(states, report).items()}
-    lacking = ", ".join(code_span(code or "loop") for code in report.get("undemonstrated", []))
+    lacking = ", ".join(_code_span(code or "loop") for code in report.get("undemonstrated", []))
     return filled_template(
         "state_card.md",
         crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),
@@ -318,9 +318,15 @@ def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object,
 
 
 def _overlap(states: States, nx: int) -> tuple[object, ...]:
-    found = states.overlap(nx)
-    near = "-" if found["nearest"] is None else f"{1000 * found['nearest']:.1f}"
-    return nx, found["test_states"], found["code_in_train"], found["diagram_in_train"], near
+    train, test = (states.rows(nx, split) for split in STATE_SPLITS)
+    texts = (states.gauss_code[rows].tolist() for rows in (train, test))
+    known, asked = ([*map(GaussCode.parse, own)] for own in texts)
+    forms, other = ([canonical(one, Symmetry.DIAGRAM) for one in own] for own in (asked, known))
+    every, near = np.flatnonzero(states.split == "train"), "-"
+    if len(test) and len(every):
+        near = f"{1000 * nearest(states.points[test], states.points[every])[0].min():.1f}"
+    shared = [sum(one in {*seen} for one in own) for own, seen in ((asked, known), (forms, other))]
+    return nx, len(test), *shared, near
 
 
 def _spread(states: States, nx: int) -> tuple[object, ...]:
@@ -398,7 +404,7 @@ def suite_card(report: Mapping[str, Any], references: Sequence[Sequence[object]]
         own = (plain(one[key]) for key in columns[1:])
         share = f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f}"
         reached = "" if one["endless"] else share
-        rows.append((code_span(name), *own, reached, size, plain(one["recorded"]), digest))
+        rows.append((_code_span(name), *own, reached, size, plain(one["recorded"]), digest))
     return filled_template(
         "suite_card.md",
         count=len(sets),

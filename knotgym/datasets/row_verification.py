@@ -1,11 +1,20 @@
-"""Verify state files and the folders that `knotgym generate` writes."""
+"""Verify rows: states and pictures, the folders that hold them, and all that a path or an id names.
 
+Verification believes nothing that is stored: it compares every row with what follows from its
+points, replays what led to a state, draws a picture again from its appearance, and looks for what
+splits share. Each fault is reported as one line.
+"""
+
+import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,11 +37,35 @@ from knotgym.datasets.episode_verification import (
     verify_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
+from knotgym.datasets.image_table import (
+    arrow,
+    derived,
+    digest_of,
+    marks_base,
+    points_of,
+    read_table,
+    row_line,
+    rows_of,
+    shards,
+)
+from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import TaskConfig
+from knotgym.quality import Limits, Quality
+from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
 from knotgym.rope import ENGINES, MUJOCO, Array, Rope, RopeConfig, drawn_actions, simulation
-from knotgym.states import SOURCES, STATE_SPLITS, STATES, RopeAtRest, States, read_states, repeated
+from knotgym.states import (
+    IMAGE_SPLITS,
+    SOURCES,
+    STATE_SPLITS,
+    STATES,
+    RopeAtRest,
+    States,
+    held_form,
+    read_states,
+    repeated,
+)
 from knotgym.topology import GaussCode, pyknotid_code
 
 # in your own files quality and source may be missing, but then rows can't be verified
@@ -46,6 +79,12 @@ _REDRAWN = 1e-4
 # metres; the chain engine's qpos are computed from its points, and back with rounding
 _CONVERTED = 1e-9
 _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would exhaust the memory
+_COLOURS = ("published", "single", "gradient")
+# what foreign numbers make the renderer and NumPy raise
+_RAISED = (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error)
+_SHARED = ("gauss_code", "nx", "split", "points", "source", "appearance")  # compared by splits
+_MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones would fill the memory
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
 
 
 def state_faults(states: States) -> Iterator[str]:
@@ -265,3 +304,145 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Arra
             whole[ids] = ropes.act([actions[left[k]][step] for k in ids], ids)
     qpos = ropes.qpos()
     return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
+
+
+def _redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
+    """Draw the picture of a row, as `read_rows` gives it, again."""
+    drawer = Drawer.of(row["appearance"]["name"])
+    return drawer.drawn(points, drawer.read(row))
+
+
+def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
+    """Yield the faults of a table: manifest and checksums, then rows and splits.
+
+    Args:
+        path: a folder made by `knotgym images`, or a single shard, whose rows alone are checked.
+        each: `map` or a pool's, for shards; results keep the order.
+    """
+    folder = Path(path)
+    arrow()
+    if folder.is_dir():
+        manifest, faults = read_manifest(folder)
+        yield from [*faults, *listed_faults(folder, manifest)]
+    files = shards(path)
+    parts, told = list[Any](), each(_shard_faults, files)
+    for faults, part in Counts.over(told, "files of pictures", len(files)):
+        yield from faults
+        parts += [] if part is None else [part]
+    if len(parts) < len(files):  # a fault already
+        return
+    if len(table := arrow().concat_tables(parts)):
+        yield from _split_faults(table)
+    else:
+        yield f"{folder.name} has no rows"
+
+
+def _shard_faults(path: Path) -> tuple[list[str], Any]:
+    """List the faults of the rows of a shard; return them and the columns that splits share.
+
+    The rows are compared with its `content_sha256`. Of a shard that can't be read, or whose points
+    aren't finite, no columns are returned.
+    """
+    faults, digest = list[str](), hashlib.sha256()
+    try:
+        table = read_table(path)
+    except (InvalidFile, MissingFile) as error:
+        return [str(error)], None
+    for n, row in enumerate(rows_of(table)):
+        try:
+            own = list(_picture_faults(row))
+        except _RAISED as error:
+            own = [f"it can't be rendered or measured: {one_line(error)}"]
+        faults += [f"{path.name} row {n}: {fault}" for fault in own]
+        digest.update(row_line(row))
+    if digest_of(table) != digest.hexdigest():
+        faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
+    try:
+        points_of(table)
+    except InvalidFile:
+        return faults, None
+    return faults, table.select(_SHARED)
+
+
+def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the faults of one row, as `read_rows` gives it."""
+    if (name := row["appearance"]["name"]) not in APPEARANCES:
+        yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
+        return
+    factors = {
+        f"{name}.{one}": value
+        for name in ("appearance", *APPEARANCES[row["appearance"]["name"]].own_columns)
+        if isinstance(row[name], dict)
+        for one, value in row[name].items()
+    }
+    for name, value in factors.items():
+        sized = name == "appearance.size"
+        low, high = AppearanceConfig.SIZES if sized else (-_MOST_DRAWN, _MOST_DRAWN)
+        numeric = isinstance(value, (int, float)) and name != "appearance.seed"
+        if numeric and not low <= value <= high:
+            yield f"{name} is {value}, should be {low:g} to {high:g}"
+            return
+    points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
+    whole = {**row, "points": points}
+    yield from row_faults(whole, Rope(), lambda own: derived(own, _redrawn(own.points, row)))
+    if (colours := row["appearance"]["colours"]) not in _COLOURS:
+        yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
+    if row["split"] not in IMAGE_SPLITS:
+        yield f"split is {row['split']!r}, should be {' or '.join(IMAGE_SPLITS)}"
+    if missed := Limits.UNAMBIGUOUS.faults(Quality(**row["quality"]), row["nx"]):
+        yield f"the code is ambiguous in the picture: {', '.join(missed)}"
+
+
+def _split_faults(table: Any) -> Iterator[str]:
+    """Yield what splits share: near-duplicates and ropes; and codes or nx in the wrong split."""
+    split, codes, nx = (np.array(table[name].to_pylist()) for name in ("split", "gauss_code", "nx"))
+    sources = table["source"].to_pylist()
+    numbers = [source["row"] for source in sources]
+    # the ropes of several seeds have the same numbers
+    ropes = [(source["seed"], source["rope"]) for source in sources]
+    yield from shared_faults(points_of(table), split, ropes, numbers)
+    # codes of test-nx have more crossings than any other split's, so they aren't compared
+    marked = marks_base(table)
+    held, seen = (
+        {held_form(code, marked=marked) for code in set(codes[np.isin(split, names)].tolist())}
+        for names in (("test-code",), ("train", "test"))
+    )
+    for code in sorted(held & seen):
+        same = "" if marked else ", from another base or in another direction,"
+        yield f"code {code or 'loop'}{same} is in test-code and in train or test"
+    harder, trained = nx[split == "test-nx"], nx[split == "train"]
+    if len(harder) and len(trained) and harder.min() <= trained.max():
+        yield "test-nx has pictures with no more crossings than train"
+    if len(set(numbers)) != len(numbers):
+        yield "two rows have the same number"
+
+
+def faults(found: Located, replay: Replay, each: Map = map, sample: int = 0) -> Iterator[str]:
+    """Yield the faults of datasets, each as soon as it is found.
+
+    If only replays differ, a last line says that machines round differently.
+
+    Args:
+        found: what a path or an id names.
+        replay: plays episodes again.
+        each: `map` or a pool's, for files of pictures; results keep the order.
+        sample: how many drawn episodes of each dataset to play again; 0 for all.
+    """
+    if found.pictures:
+        own = image_faults(found.pictures, each)
+    elif found.states and found.root.is_dir():
+        own = folder_faults(found.root, replay)
+    elif found.states:
+        own = state_faults(read_states(found.states))
+    else:
+        verified = partial(verify_episodes, replay=replay, sample=sample)
+        own = chain.from_iterable(map(verified, found.episodes))
+    kinds = set[type]()
+    for fault in own:
+        kinds.add(type(fault))
+        yield fault
+    if kinds == {ReplayFault}:
+        yield (
+            f"{found.root}: only replays differ, and other machines may round differently; the"
+            " manifest says which made it"
+        )
