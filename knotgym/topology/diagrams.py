@@ -84,27 +84,14 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
     return tuple(sorted(patterns))
 
 
-def _parts(code: GaussCode) -> tuple[int, ...]:
-    """Number the connected components of the interlacement graph, from 0 in order of first visit.
-
-    Each component, taken alone, is the code of one summand of the diagram as a connected sum.
-
-    Returns:
-        One component number per label.
-
-    >>> _parts(GaussCode.parse("1+,2-,3+,1-,2+,3-,4+,4-"))
-    (0, 0, 0, 1)
-    """
-    return tuple(_walked(code.visits)[0])
-
-
 def summands(code: GaussCode) -> list[GaussCode]:
-    """Cut the diagram into its `_parts`; the knot is the connected sum of theirs.
+    """Cut the diagram into the connected components of its interlacement graph, in order of first
+    visit; the knot is the connected sum of theirs.
 
     >>> [str(summand) for summand in summands(GaussCode.parse("1+,2-,3+,1-,2+,3-,4+,4-"))]
     ['1+,2-,3+,1-,2+,3-', '1+,1-']
     """
-    part = _parts(code)
+    part, _ = _walked(code.visits)
     return [
         code.of_visits(tuple([visit for visit in code.visits if part[abs(visit) - 1] == k]))
         for k in range(max(part, default=-1) + 1)
@@ -253,9 +240,9 @@ def _walked(visits: tuple[int, ...]) -> tuple[list[int], list[int]]:
     """Walk the interlacement graph, depth first from each label that wasn't reached before.
 
     Returns:
-        The number of each label's component, see `_parts`; and turns. In each component the first
-        crossing turns left, and the parity rule of de Fraysseix and Ossona de Mendez fixes the
-        others: these are a planar handedness of the visits if there is one.
+        The number of each label's component, from 0 in order of first visit; and turns. In each
+        component the first crossing turns left, and the parity rule of de Fraysseix and Ossona de
+        Mendez fixes the others: these are a planar handedness of the visits if there is one.
     """
     positions = _code_positions(visits)
     interlaced = _interlacement(positions)

@@ -281,4 +281,6 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
 
 def invalid_code(problem: str, given: object, expected: str, kind: str = "Gauss") -> InvalidInput:
     """Make the error for text or visits that aren't a code of some kind."""
-    return InvalidInput(f"invalid {kind} code, {problem}: got {given!r}; {expected}")
+    shown = repr(given)
+    shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
+    return InvalidInput(f"invalid {kind} code, {problem}: got {shown}; {expected}")

@@ -35,14 +35,9 @@ from itertools import combinations_with_replacement, product
 from knotgym.common import Failed, InvalidInput
 from knotgym.topology.diagrams import planar_codes, summands, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.polynomials import (
-    JonesPolynomial,
-    alexander_polynomial,
-    jones_polynomial,
-    mirrored_jones,
-)
+from knotgym.topology.polynomials import JonesPolynomial, alexander_polynomial, jones_polynomial
 from knotgym.topology.reidemeister import connected_sum, is_alternating, simplify, without_bigons
-from knotgym.topology.symmetry import Symmetry, images
+from knotgym.topology.symmetry import Symmetry, canonical, images
 
 UNKNOWN = "unknown"
 ALEXANDER_DECIDES = 10
@@ -171,7 +166,7 @@ def _name(summand: GaussCode) -> str:
     # No search for a minimal diagram: up to seven crossings the Alexander polynomials of all types
     # differ.
     if summand.nx <= _SMALL:
-        return _small_types(_SMALL)[alexander_polynomial(summand)]
+        return _small_types()[alexander_polynomial(summand)]
     try:
         # The table's polynomials can't tell the unknot from knots beyond the table; the proof can.
         types = [UNKNOT] if _is_trivial(summand) else _types_from_polynomials(summand)
@@ -244,9 +239,8 @@ def _table_type(code: GaussCode) -> str | None:
     """
     if not 3 <= code.nx <= TABLED:
         return None
-    # visits alone, without letters: a reflected diagram has the same ones, and types say no
-    # handedness
-    return _by_diagram().get(min(one.visits for one in based_diagrams(code)))
+    # without letters: a reflected diagram has the same visits, and types say no handedness
+    return _by_diagram().get(canonical(code, Symmetry.DIAGRAM))
 
 
 def _types_from_polynomials(code: GaussCode) -> list[str]:
@@ -270,12 +264,12 @@ def _types_from_polynomials(code: GaussCode) -> list[str]:
 
 
 @lru_cache(maxsize=1)
-def _small_types(nx: int) -> dict[tuple[int, ...], str]:
-    """Map Alexander polynomials to the types of at most nx crossings, composite ones included.
+def _small_types() -> dict[tuple[int, ...], str]:
+    """Map Alexander polynomials to the types of at most _SMALL crossings, composite ones included.
 
     Up to 7 crossings they are all different, and regardless of handedness.
     """
-    sums = [names for names in _sums() if sum(_rank(name)[0] for name in names) <= nx]
+    sums = [names for names in _sums() if sum(_rank(name)[0] for name in names) <= _SMALL]
     diagrams = _prime_diagrams()
     return {(1,): UNKNOT} | {
         alexander_polynomial(connected_sum([diagrams[name] for name in names])): "#".join(names)
@@ -284,12 +278,9 @@ def _small_types(nx: int) -> dict[tuple[int, ...], str]:
 
 
 @lru_cache(maxsize=1)
-def _by_diagram() -> dict[tuple[int, ...], str]:
-    """Map the smallest visits over all base points, directions and sides to the type."""
-    return {
-        min(one.visits for one in based_diagrams(code)): name
-        for name, code in _prime_diagrams().items()
-    }
+def _by_diagram() -> dict[GaussCode, str]:
+    """Map canonical codes, over all base points, directions and sides, to the type."""
+    return {canonical(code, Symmetry.DIAGRAM): name for name, code in _prime_diagrams().items()}
 
 
 @lru_cache(maxsize=1)
@@ -326,7 +317,8 @@ def _sums() -> Iterator[tuple[str, ...]]:
 def _polynomials(code: GaussCode) -> Polynomials:
     """Return the Alexander and the Jones polynomial, the latter smallest up to mirroring."""
     jones = jones_polynomial(code)
-    return alexander_polynomial(code), min(jones, mirrored_jones(jones))
+    mirrored = tuple(sorted((-power, value) for power, value in jones))  # t becomes 1 / t
+    return alexander_polynomial(code), min(jones, mirrored)
 
 
 def _summands(knot: str) -> list[tuple[bool, str]]:

@@ -18,7 +18,7 @@ X[1,2,2,1], X[2,1,1,2] and X[2,2,1,1]), so every code comes back as it was.
 A DT (Dowker-Thistlethwaite) code pairs the two visits of each crossing, of which one is odd and one
 even in every planar diagram. It lists the even partners of 1, 3, 5, ..., negative if the even visit
 is the upper one. It has the same information as a Gauss code without chirality, so handedness is
-lost, separately for each summand (`diagrams._parts`): the granny knot and the square knot share
+lost, separately for each summand (`diagrams.summands`): the granny knot and the square knot share
 their DT codes.
 
 The plain loop is written [] in both, as by spherogram; KnotInfo leaves it blank, and KnotTheory's
@@ -39,6 +39,7 @@ from knotgym.topology.gauss import GaussCode, invalid_code
 
 MOST_CROSSINGS = 1000  # of a code that is read
 _MOST_CHARACTERS = 30 * MOST_CROSSINGS
+_SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
 _TEXT_OF_LOOPS = ("[]", "PD[]", "PD[Loop[1]]", "DT[]", "DT:[]", "DTCode[]", "GaussCode[]")
 _NUMBER = r"-?\d{1,9}"
 _LIST = rf"{_NUMBER}(?:,{_NUMBER})*"
@@ -71,21 +72,6 @@ def pd_code(code: GaussCode) -> list[list[int]]:
     return crossings
 
 
-def _dt_code(code: GaussCode) -> list[int]:
-    """Return the even partners of the visits 1, 3, 5, ..., negative where the even one is over.
-
-    Args:
-        code: a planar code; chirality is ignored.
-
-    >>> _dt_code(GaussCode.parse("1+,2-,3+,1-,4+,3-,2+,4-"))  # the figure-eight knot
-    [4, 6, 8, 2]
-    """
-    # In a planar diagram the two visits of a crossing have an even number of visits between them,
-    # see `diagrams.uniform_code`, so one is odd and one even.
-    number = {visit: number for number, visit in enumerate(code.visits, 1)}
-    return [number[-visit] * (1 if visit > 0 else -1) for visit in code.visits[::2]]
-
-
 def pd_text(code: GaussCode) -> str:
     """Return the PD code as KnotInfo and JSON write it.
 
@@ -96,12 +82,19 @@ def pd_text(code: GaussCode) -> str:
 
 
 def dt_text(code: GaussCode) -> str:
-    """Return the DT code as KnotInfo and JSON write it.
+    """Return the DT code as KnotInfo and JSON write it: the even partners of the visits 1, 3, 5,
+    ..., negative where the even one is over.
 
-    >>> dt_text(GaussCode.parse("1+,1-"))
-    '[2]'
+    Args:
+        code: a planar code; chirality is ignored.
+
+    >>> dt_text(GaussCode.parse("1+,2-,3+,1-,4+,3-,2+,4-"))  # the figure-eight knot
+    '[4, 6, 8, 2]'
     """
-    return json.dumps(_dt_code(code))
+    # In a planar diagram the two visits of a crossing have an even number of visits between them,
+    # see `diagrams.uniform_code`, so one is odd and one even.
+    number = {visit: number for number, visit in enumerate(code.visits, 1)}
+    return str([number[-visit] * (1 if visit > 0 else -1) for visit in code.visits[::2]])
 
 
 def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
@@ -117,7 +110,6 @@ def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     >>> _from_pd([[1, 1, 2, 2]]).chiral
     '1-c,1+c'
     """
-    _require_size(len(crossings))
     ends: dict[int, list[tuple[int, int]]] = {}  # edge -> the crossings and corners that it joins
     for crossing, corners in enumerate(crossings):
         for corner, edge in enumerate(corners):
@@ -125,7 +117,7 @@ def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     for edge, joined in ends.items():
         if len(joined) != 2:
             expected = "every edge joins two corners, so it occurs twice"
-            raise _invalid(f"edge {edge} occurs {len(joined)} times", crossings, "PD", expected)
+            raise invalid_code(f"edge {edge} occurs {len(joined)} times", crossings, expected, "PD")
     walk: list[tuple[int, int]] = []  # edge that leads to the visit, signed crossing number
     letters: dict[int, str] = {}
     crossing, corner = 0, 0  # where the walk arrives: below, at a
@@ -135,7 +127,7 @@ def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
         if corner == 2:
             problem = f"the lower strand of crossing {crossing + 1} is walked backwards"
             expected = "the first edge of each crossing is where the lower strand comes in"
-            raise _invalid(problem, crossings, "PD", expected)
+            raise invalid_code(problem, crossings, expected, "PD")
         walk.append((crossings[crossing][corner], (crossing + 1) * (1 if corner else -1)))
         if corner:
             # an upper strand that comes in at d runs to b, as the drawing of a positive crossing
@@ -148,7 +140,7 @@ def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     if len(walk) < 2 * len(crossings):
         problem = f"one walk passes {len(walk)} of {2 * len(crossings)} visits"
         expected = "expected a knot, not a link of several components"
-        raise _invalid(problem, crossings, "PD", expected)
+        raise invalid_code(problem, crossings, expected, "PD")
     # the base point is on the edge of the lowest number, whatever the numbers are
     start = walk.index(min(walk)) if walk else 0
     visits = [visit for _, visit in walk[start:] + walk[:start]]
@@ -164,12 +156,11 @@ def _from_dt(partners: Sequence[int]) -> GaussCode:
     >>> str(_from_dt([4, 6, 2]))
     '1+,2-,3+,1-,2+,3-'
     """
-    _require_size(len(partners))
     even = sorted(map(abs, partners))
     if even != [*range(2, 2 * len(partners) + 1, 2)]:
         problem = f"it doesn't pair {len(partners)} odd visits with as many even ones"
         expected = f"expected the even numbers from 2 to {2 * len(partners)}, once each, signed"
-        raise _invalid(problem, partners, "DT", expected)
+        raise invalid_code(problem, partners, expected, "DT")
     visits = [0] * (2 * len(partners))
     for label, partner in enumerate(partners, 1):
         # a negative partner is the upper one, so the odd visit is under there
@@ -189,7 +180,7 @@ def parse_code(text: str) -> GaussCode:
     {'1+,1-'}
     """
     if len(text) > _MOST_CHARACTERS:
-        raise _invalid(f"{len(text)} characters are too long", text, "Gauss, PD or DT", _SIZE)
+        raise invalid_code(f"{len(text)} characters are too long", text, _SIZE, "Gauss, PD or DT")
     text = text.strip().rstrip(";")
     tight = text.translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
     # Spaces beside punctuation mean nothing; those that are left part numbers, as commas do.
@@ -199,10 +190,10 @@ def parse_code(text: str) -> GaussCode:
         if pattern.fullmatch(tight) and (code := read(tight, text)) is not None:
             return code
     if tight[:1] in ("[", "(", "P", "D", "X"):
-        raise _invalid("it can't be read", text, "PD or DT", "expected [[1,5,2,4],...] or [4,6,2]")
-    code = GaussCode.parse(text)
-    _require_size(code.nx)
-    return code
+        raise invalid_code(
+            "it can't be read", text, "expected [[1,5,2,4],...] or [4,6,2]", "PD or DT"
+        )
+    return _sized(GaussCode.parse(text))
 
 
 def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
@@ -257,7 +248,7 @@ def _read_numbers(tight: str, text: str) -> GaussCode:
         return _from_dt(numbers)
     if "{" in text:
         expected = "write KnotInfo:{...} for KnotInfo's, where + is under, or [...] for + over"
-        raise _invalid("whose signs they are isn't said", text, "Gauss", expected)
+        raise invalid_code("whose signs they are isn't said", text, expected)
     return _from_signed(numbers)
 
 
@@ -267,7 +258,7 @@ def _read_letters(tight: str, text: str) -> GaussCode:
     head = [ord(letter) - 96 for letter in letters[:3].lower()]
     if head != [len(letters) - 3, 1, len(letters) - 3]:
         expected = "expected such as DT[cacbca]"
-        raise _invalid("it isn't that of one component", text, "DT", expected)
+        raise invalid_code("it isn't that of one component", text, expected, "DT")
     return _from_dt([
         (ord(one.lower()) - 96) * (2 if one.islower() else -2) for one in letters[3:]
     ])  # fmt: skip
@@ -300,54 +291,45 @@ _READERS: tuple[tuple[re.Pattern[str], Callable[[str, str], GaussCode | None]], 
 
 def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
     """Return the Gauss code of signed numbers, + over, and of the signs of crossings in order."""
-    _require_size(len(numbers) // 2)
     # signs at the end are those of crossings 1, 2, 3, ... in order of their labels, not of the walk
     labels = sorted({abs(number) for number in numbers})
     if signs and len(signs) != len(labels):
         problem = f"it has {len(labels)} crossings and {len(signs)} signs"
-        raise _invalid(problem, numbers, "Gauss", "give each crossing a sign, or none")
+        raise invalid_code(problem, numbers, "give each crossing a sign, or none")
     letters = {label: _LETTERS[sign] for label, sign in zip(labels, signs, strict=False)}
     code = GaussCode.relabelled(numbers, letters or None)
-    return _planar(code, numbers, "Gauss")
+    return _planar(code, numbers)
 
 
 def _from_over_under(text: str) -> GaussCode:
     """Return the Gauss code of visits such as O1 or U2-; "-" between visits may only part them."""
     visits = _OVER_UNDER.findall(text)
     if re.sub(r"[\s,;-]", "", _OVER_UNDER.sub("", text)):
-        raise _invalid("it can't be read", text, "Gauss", "expected such as O1-U2-O3-U1-O2-U3-")
-    _require_size(len(visits) // 2)
+        raise invalid_code("it can't be read", text, "expected such as O1-U2-O3-U1-O2-U3-")
     # "-" may only part visits, as in O1-U2-O3; where the last visit has a sign, too, it is a sign
     signed = bool(visits) and all(sign for _, _, sign in visits)
     if "+" in [sign for _, _, sign in visits] and not signed:
         expected = "give every visit its crossing's sign"
-        raise _invalid("only some visits have a sign", text, "Gauss", expected)
+        raise invalid_code("only some visits have a sign", text, expected)
     letters: dict[int, str] = {}
     for _, number, sign in visits if signed else ():
         if letters.setdefault(int(number), _LETTERS[sign]) != _LETTERS[sign]:
             problem, expected = f"crossing {number} has two signs", "both visits have the same sign"
-            raise _invalid(problem, text, "Gauss", expected)
+            raise invalid_code(problem, text, expected)
     numbers = [int(number) if over in "Oo" else -int(number) for over, number, _ in visits]
-    return _planar(GaussCode.relabelled(numbers, letters or None), text, "Gauss")
+    return _planar(GaussCode.relabelled(numbers, letters or None), text)
 
 
-_SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
-
-
-def _require_size(crossings: int) -> None:
-    if crossings > MOST_CROSSINGS:
-        raise _invalid("it is too large", f"{crossings} crossings", "Gauss, PD or DT", _SIZE)
-
-
-def _planar(code: GaussCode, given: object, kind: str) -> GaussCode:
-    """Return a code that was read, if some closed curve shows it."""
-    if is_planar(code):
+def _planar(code: GaussCode, given: object, kind: str = "Gauss") -> GaussCode:
+    """Return a code that was read, if it isn't too large, and some closed curve shows it."""
+    if _sized(code) and is_planar(code):
         return code
     expected = "expected the code of a curve drawn in the plane"
-    raise _invalid("no planar diagram has it", given, kind, expected)
+    raise invalid_code("no planar diagram has it", given, expected, kind)
 
 
-def _invalid(problem: str, given: object, kind: str, expected: str) -> InvalidInput:
-    shown = str(given)
-    shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
-    return invalid_code(problem, shown, expected, kind)
+def _sized(code: GaussCode) -> GaussCode:
+    if code.nx > MOST_CROSSINGS:
+        what = "Gauss, PD or DT"
+        raise invalid_code("it is too large", f"{code.nx} crossings", _SIZE, what)
+    return code

@@ -114,11 +114,6 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
     return tuple(sorted(jones.items()))
 
 
-def mirrored_jones(jones: JonesPolynomial) -> JonesPolynomial:
-    """Return the Jones polynomial of the mirror image: t becomes 1 / t."""
-    return tuple(sorted((-power, value) for power, value in jones))
-
-
 def _digits(number: int, digits: int) -> list[int]:
     """Return a polynomial's coefficients, lowest first, from its value at 2 ** digits.
 

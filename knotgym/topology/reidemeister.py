@@ -48,13 +48,13 @@ def simplify(code: GaussCode) -> GaussCode:
     )
 
 
-def removals(code: GaussCode) -> Iterator[GaussCode]:
+def _removals(code: GaussCode) -> Iterator[GaussCode]:
     """Yield the codes without one kink or one bigon, each a first or second move away.
 
     The base point stays on its strand. A bigon may be the outer face: then the upper strand is
     moved across the whole diagram.
 
-    >>> [one.chiral for one in removals(GaussCode.parse("1+a,1-a,2-c,2+c"))]
+    >>> [one.chiral for one in _removals(GaussCode.parse("1+a,1-a,2-c,2+c"))]
     ['', '1-c,1+c', '1+a,1-a']
     """
     visits, signs = code.visits, code.signs
@@ -88,7 +88,7 @@ def without_bigons(code: GaussCode) -> GaussCode:
     0
     """
     # any order leads to a diagram without either; which one may depend on it, the knot doesn't
-    while (smaller := next(removals(code), None)) is not None:
+    while (smaller := next(_removals(code), None)) is not None:
         code = smaller
     return code
 

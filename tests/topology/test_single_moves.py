@@ -6,7 +6,7 @@ from itertools import islice
 from knotgym.topology.diagrams import chiralities, faces, is_planar, planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.polynomials import jones_polynomial
-from knotgym.topology.reidemeister import removals
+from knotgym.topology.reidemeister import _removals
 
 
 def diagrams(nx: int, every: int) -> list[GaussCode]:
@@ -36,12 +36,12 @@ def test_kinks_and_bigons_are_the_faces_with_one_and_two_sides() -> None:
             labels = frozenset(abs(visit) for pair in ends for visit in pair)
             if len(face) == 1 or len(face) == len(labels) == 2 and heights == [0, 2]:
                 expected[labels] = without(code, *labels)
-        found = Counter(removals(code))
+        found = Counter(_removals(code))
         assert found == Counter(expected.values()), code.chiral
 
 
 def test_moves_keep_the_knot_and_the_plane() -> None:
     for code in DIAGRAMS[::7]:
         jones = jones_polynomial(code)
-        for after in removals(code):
+        for after in _removals(code):
             assert is_planar(after) and jones_polynomial(after) == jones, (code, after)
