@@ -126,7 +126,7 @@ def command(
     def _declare(function: Callable[..., None]) -> App:
         own = [*inspect.signature(function).parameters.values()][1:]
 
-        def run(
+        def _run(
             *words: Any,
             quiet: _QUIET = False,
             settings: _SETTINGS = None,
@@ -143,17 +143,17 @@ def command(
                     tree = merged(tree, _nested({path: _read_value(value, kind, path)}))
                 function(Given(tree, known, sections, progress, quiet), *words, **mine)
 
-        common = inspect.signature(run).parameters
+        common = inspect.signature(_run).parameters
         parameters = [*own, *options, common["quiet"]]
         parameters += [common["settings"], common["set"]] if "" in sections else []
         # a terminal breaks paragraphs and entries by its own width
-        doc = run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))
-        run.__annotations__ = {one.name: one.annotation for one in parameters}
-        vars(run).update(__signature__=inspect.Signature(parameters), sections=sections)
+        doc = _run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))
+        _run.__annotations__ = {one.name: one.annotation for one in parameters}
+        vars(_run).update(__signature__=inspect.Signature(parameters), sections=sections)
         help = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
         name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
-        app.default(run)
+        app.default(_run)
         return app
 
     return _declare

@@ -109,7 +109,7 @@ class HandTab:
         command.on_trigger(self._wanting(wish))
 
     def _dragging(self, lift: float | None) -> Callable[[Any], None]:
-        def drag(event: Any) -> None:
+        def _read_drag(event: Any) -> None:
             bead, place = event.instance_index, event.end_position
             if event.phase == "end" or type(bead) is not int or len(place) != 3:
                 self._drag = None
@@ -121,15 +121,15 @@ class HandTab:
                 target[2] = points[:, 2].mean() + _LIFT * height
             self._drag = bead % len(points), target
 
-        return drag
+        return _read_drag
 
     def _wanting(self, wish: Callable[[], None]) -> Callable[[Any], None]:
         """Return what leaves a wish; the latest one counts."""
 
-        def leave(_: Any) -> None:
+        def _leave(_: Any) -> None:
             self.wish = wish
 
-        return leave
+        return _leave
 
     # the tab's thread --------------------------------------------------------------------
 

@@ -144,8 +144,8 @@ def _guarded_handshakes(token: str) -> Iterator[None]:
 
     whole = module.serve
 
-    def serve(handler: Any, *given: Any, process_request: Any = None, **named: Any) -> Any:
-        def checked(connection: Any, request: Any) -> Any:
+    def _serve(handler: Any, *given: Any, process_request: Any = None, **named: Any) -> Any:
+        def _checked(connection: Any, request: Any) -> Any:
             # the page asks at its own address, of which viser knows no token
             first, _, rest = request.path.removeprefix("/").partition("/")
             has_token = secrets.compare_digest(first.encode(errors="replace"), token.encode())
@@ -153,9 +153,9 @@ def _guarded_handshakes(token: str) -> Iterator[None]:
                 return process_request(connection, replace(request, path=f"/{rest}"))
             return connection.respond(HTTPStatus.FORBIDDEN, _REFUSAL)
 
-        return whole(handler, *given, process_request=checked, **named)
+        return whole(handler, *given, process_request=_checked, **named)
 
-    module.serve = serve
+    module.serve = _serve
     try:
         yield
     finally:

@@ -9,6 +9,7 @@ a batch of calls. Replies are kept by the digest of their request, so a resumed 
 those that are missing.
 """
 
+import base64
 import hashlib
 import json
 import threading
@@ -35,9 +36,6 @@ from knotgym.prompting.prompts import (
     Picture,
     PromptConfig,
     Turn,
-    as_text,
-    caption,
-    message,
     messages,
     opening,
     reading,
@@ -78,11 +76,11 @@ def run_prompts(
     settings, stop = _flat(config), threading.Event()
     chat = Chat(config.chat, stop)
 
-    def ask(messages: list[dict[str, Any]]) -> Result:
+    def _ask(messages: list[dict[str, Any]]) -> Result:
         return _packed(chat.ask(messages))
 
-    def recipe(place: Path) -> Recipe[str]:
-        told = yield from (_read(config, rows, ask) if rows else _play(config, ask))
+    def _recipe(place: Path) -> Recipe[str]:
+        told = yield from (_read(config, rows, _ask) if rows else _play(config, _ask))
         result = {"version": knotgym.__version__, **summarize(told), "settings": settings}
         result["identity"] = run_identity
         if rows:
@@ -93,7 +91,7 @@ def run_prompts(
         return f"{FILE}, {_RESULT}"
 
     @contextmanager
-    def pool() -> Iterator[Executor]:
+    def _pool() -> Iterator[Executor]:
         try:
             yield _Requests(config.side_by_side, stop)
         finally:
@@ -102,12 +100,12 @@ def run_prompts(
     asked = {**settings, "chat": {k: v for k, v in settings["chat"].items() if k not in _FREE}}
     run_identity = identity(config, fields=asked)
     return run(
-        recipe,
+        _recipe,
         out,
         run_identity,
         options,
         progress,
-        pool=pool,
+        pool=_pool,
         count=lambda kept: {"retries": sum(_unpacked(kept)["retries"].values())},
         identity_in=_RESULT,
     )
@@ -118,11 +116,21 @@ def sample_prompt(
 ) -> tuple[str, dict[str, bytes]]:
     """Return a run's first request as text for people, and its pictures, by name, as PNG."""
 
-    def ask(messages: list[dict[str, Any]]) -> Result:
+    def _ask(messages: list[dict[str, Any]]) -> Result:
         raise AssertionError("a sample is never sent")
 
-    (asked,) = next(_read(config, rows[:1], ask) if rows else _play(config, ask))[0].arguments
-    return as_text(asked)
+    (asked,) = next(_read(config, rows[:1], _ask) if rows else _play(config, _ask))[0].arguments
+    lines, pictures = list[str](), dict[str, bytes]()
+    for one in asked:
+        lines.append(f"--- {one['role']}")
+        for part in one["content"]:
+            if part["type"] == "text":
+                lines.append(part["text"])
+            else:
+                name = f"picture-{len(pictures) + 1}"
+                pictures[name] = base64.b64decode(part["image_url"]["url"].partition(",")[2])
+                lines.append(f"[{name}]")
+    return "\n".join(lines) + "\n", pictures
 
 
 def _play(config: PromptConfig, ask: Ask) -> Transcripts:
@@ -202,7 +210,7 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
 def _read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> Transcripts:
     """Ask for the Gauss codes of pictures, rows of a perception table; return the transcripts."""
     pictures = [Picture(row["image"]) for row in rows]
-    requests = [(number, [message(reading(one))]) for number, one in enumerate(pictures)]
+    requests = [*enumerate(map(reading, pictures))]
     replies = yield from _replies(requests, 0, ask)
     transcripts = []
     for number, (row, picture, reply) in enumerate(zip(rows, pictures, replies, strict=True)):
@@ -281,10 +289,12 @@ def _pictures(
     images = [batch.rgb(index) for index in ids.tolist()]
     if goal:
         return [Picture(encode(image[:, size:]), TEXTS["goal"]) for image in images]
+    # in units of actions
     middles = batch.simulation.points[ids].mean(axis=1) / config.task.rope_config.reach
+    caption = TEXTS["now_at" if config.tell_centre else "now"]
     return [
-        Picture(encode(image[:, :size]), caption(middle[:2] if config.tell_centre else None))
-        for image, middle in zip(images, middles.tolist(), strict=True)
+        Picture(encode(image[:, :size]), caption.format(x=x, y=y))
+        for image, (x, y, _) in zip(images, middles.tolist(), strict=True)
     ]
 
 
@@ -300,7 +310,7 @@ class _Requests(Executor):
     def submit(self, function: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
         promise: Future[Any] = Future()
 
-        def work() -> None:
+        def _work() -> None:
             with self._slots:
                 try:
                     promise.set_result(function(*arguments, **named))
@@ -308,5 +318,5 @@ class _Requests(Executor):
                     self._stop.set()
                     promise.set_exception(error)
 
-        threading.Thread(target=work, daemon=True).start()
+        threading.Thread(target=_work, daemon=True).start()
         return promise

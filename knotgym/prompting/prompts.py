@@ -16,7 +16,6 @@ import base64
 import hashlib
 import tomllib
 from collections.abc import Sequence
-from functools import lru_cache
 from importlib.resources import files
 from typing import Annotated, Any, NamedTuple
 
@@ -94,26 +93,13 @@ class Turn(NamedTuple):
     answer: str
 
 
-def caption(centre: Sequence[float] | None) -> str:
-    """Return the current picture's caption; `centre` is its middle's x and y in action units.
-
-    >>> caption((0.0123, -0.1))
-    'The rope now; the middle of this picture is at x = 0.012, y = -0.100:'
-    """
-    if centre is None:
-        return str(TEXTS["now"])
-    return str(TEXTS["now_at"].format(x=centre[0], y=centre[1]))
-
-
-@lru_cache(maxsize=1)
-def first() -> Picture:
-    """Return the explanatory picture with which every prompt begins; see docs/first_picture.py."""
-    return Picture((_FOLDER / "first-picture.png").read_bytes())
+# the explanatory picture with which every prompt begins; see docs/first_picture.py
+FIRST = Picture((_FOLDER / "first-picture.png").read_bytes())
 
 
 def opening(goal: Picture) -> list[Part]:
     """Return the parts with which all requests of an episode begin."""
-    beginning = [TEXTS["task"], TEXTS["first"], first(), _SUCCESS, TEXTS["action"]]
+    beginning = [TEXTS["task"], TEXTS["first"], FIRST, _SUCCESS, TEXTS["action"]]
     return [*beginning, goal.caption, goal]
 
 
@@ -123,10 +109,10 @@ def _turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
     return [now.caption, now, str(question.format(most=most))]
 
 
-def reading(picture: Picture) -> list[Part]:
-    """Return the parts of the request for a picture's code."""
-    before = [TEXTS["read_task"], TEXTS["first"], first(), TEXTS["code"], TEXTS["read_form"]]
-    return [*before, TEXTS["rope"], picture, TEXTS["read_question"]]
+def reading(picture: Picture) -> list[dict[str, Any]]:
+    """Build the messages of the request for a picture's code."""
+    before = [TEXTS["read_task"], TEXTS["first"], FIRST, TEXTS["code"], TEXTS["read_form"]]
+    return [_message([*before, TEXTS["rope"], picture, TEXTS["read_question"]])]
 
 
 def messages(
@@ -142,14 +128,14 @@ def messages(
     out: list[dict[str, Any]] = []
     parts = list(before)
     for turn in turns:
-        out.append(message([*parts, *_turn_parts(mode, most, turn.picture)]))
+        out.append(_message([*parts, *_turn_parts(mode, most, turn.picture)]))
         # servers may reject an empty message
         out.append({"role": "assistant", "content": turn.answer or "(no answer)"})
         parts = []
-    return [*out, message([*parts, *_turn_parts(mode, most, now)])]
+    return [*out, _message([*parts, *_turn_parts(mode, most, now)])]
 
 
-def message(parts: Sequence[Part]) -> dict[str, Any]:
+def _message(parts: Sequence[Part]) -> dict[str, Any]:
     """Build a user message of the chat-completions protocol."""
     content = [
         {"type": "text", "text": part}
@@ -163,21 +149,3 @@ def message(parts: Sequence[Part]) -> dict[str, Any]:
         for part in parts
     ]
     return {"role": "user", "content": content}
-
-
-def as_text(conversation: Sequence[dict[str, Any]]) -> tuple[str, dict[str, bytes]]:
-    """Format messages for people; return the text, and the pictures as PNG by the names in it."""
-    lines, pictures = list[str](), dict[str, bytes]()
-    for one in conversation:
-        lines.append(f"--- {one['role']}")
-        content: Any = one["content"]
-        if isinstance(content, str):
-            content = [{"type": "text", "text": content}]
-        for part in content:
-            if part["type"] == "text":
-                lines.append(part["text"])
-            else:
-                name = f"picture-{len(pictures) + 1}"
-                pictures[name] = base64.b64decode(part["image_url"]["url"].partition(",")[2])
-                lines.append(f"[{name}]")
-    return "\n".join(lines) + "\n", pictures

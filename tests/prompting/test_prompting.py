@@ -15,7 +15,7 @@ from knotgym.datasets import decode, encode
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
-from knotgym.prompting.prompts import PromptConfig, first
+from knotgym.prompting.prompts import FIRST, PromptConfig
 from knotgym.prompting.transcripts import read_transcripts, reading_scores, show_transcripts
 from knotgym.runs import RunOptions
 
@@ -64,7 +64,7 @@ def test_a_prompt_has_all_parts_in_their_order(tmp_path: Path) -> None:
     assert all(text.startswith(word) for text, word in zip(texts, beginnings, strict=False))
     assert texts[7] == "The rope now:" and "<answer>" in texts[9]
     shown = [hashes(one["messages"][0]) for one in server.requests]
-    assert [one[0] for one in shown] == [first().sha256] * len(shown)
+    assert [one[0] for one in shown] == [FIRST.sha256] * len(shown)
     assert [one[2] for one in shown] == [turn["picture"] for turn in told["turns"]]
     assert {one["picture"] for one in told["prompt"] if isinstance(one, dict)} == {*shown[0][:2]}
     assert len(shown) == len(told["actions"]) == len(told["gauss_code"]) - 1
@@ -194,7 +194,7 @@ def test_side_by_side_gives_the_same_transcripts(tmp_path: Path) -> None:
 
 
 def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
-    pictures = [encode(decode(first().png)[: 16 + k, :16]) for k in range(3)]
+    pictures = [encode(decode(FIRST.png)[: 16 + k, :16]) for k in range(3)]
     row = {"gauss_code": "1+,1-,2-,2+", "nx": 2, "grade": "easy"}
     rows = [{**row, "image": one, "accepted": not k} for k, one in enumerate(pictures)]
     answers = ["<answer>1+,1-,2-,2+</answer>", "<answer>1+,1-</answer>", "it is a loop"]
@@ -225,7 +225,7 @@ def test_the_first_request_is_shown_without_sending_it() -> None:
     text, pictures = sample_prompt(config("http://127.0.0.1:9"))
     assert text.startswith("--- user\nTask:") and "[picture-3]" in text
     assert [*pictures] == ["picture-1", "picture-2", "picture-3"]
-    assert pictures["picture-1"] == first().png
+    assert pictures["picture-1"] == FIRST.png
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from knotgym.datasets import decode, encode
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_run import sample_prompt
-from knotgym.prompting.prompts import MODES, READ, STATEFUL, PromptConfig, first
+from knotgym.prompting.prompts import FIRST, MODES, READ, STATEFUL, PromptConfig
 from knotgym.topology import label
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -28,8 +28,8 @@ def test_the_first_picture_shows_the_code_of_its_rope(drawing: dict[str, Any]) -
 
 
 def test_the_first_picture_is_the_page_s_and_the_script_s(drawing: dict[str, Any]) -> None:
-    sent, drawn = decode(first().png).astype(int), drawing["first_picture"]()
-    assert (DOCS / "first-picture.png").read_bytes() == first().png
+    sent, drawn = decode(FIRST.png).astype(int), drawing["first_picture"]()
+    assert (DOCS / "first-picture.png").read_bytes() == FIRST.png
     assert np.abs(sent - drawn).mean() < 2  # letters differ among OpenCV's versions
 
 
@@ -37,6 +37,6 @@ def test_the_first_picture_is_the_page_s_and_the_script_s(drawing: dict[str, Any
 def test_the_page_shows_the_whole_prompt_of_every_mode(mode: Any) -> None:
     task = TaskConfig(task="tie", image_size=16)
     config = PromptConfig(mode=mode, chat=ChatConfig(model="m"), task=task)
-    rows = [{"image": encode(decode(first().png)[:16, :16])}] if mode == READ else []
+    rows = [{"image": encode(decode(FIRST.png)[:16, :16])}] if mode == READ else []
     text, _ = sample_prompt(config, rows)
     assert f"```text\n{text}```\n" in (DOCS / "prompting.md").read_text(encoding="utf-8")
