@@ -77,20 +77,20 @@ class HandTab:
     def _panel(self) -> None:
         gui = self._client.gui
         self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
-        row = (
-            ("Undo", "Z", lambda: self._after(self.session.undo)),
-            ("Reset", "R", lambda: self._after(partial(self.session.begin, self.session.number))),
-            ("Next start", "N", self._next),
-            ("Let it pull once", "P", self._policy_pull),
-            ("View from above", "V", lambda: self.scene.look_from_above(self.session.points)),
+        buttons = (
+            ("Z", "Undo", lambda: self._after(self.session.undo)),
+            ("R", "Reset", lambda: self._after(partial(self.session.begin, self.session.number))),
+            ("N", "Next start", self._next),
+            ("P", "Let it pull once", self._policy_pull),
+            ("V", "View from above", lambda: self.scene.look_from_above(self.session.points)),
         )
-        for label, key, wish in row:
-            self._client.gui.add_button(label).on_click(self._wanting(wish))
-            self._hotkey(label, key, wish)
+        for _, label, wish in buttons:
+            gui.add_button(label).on_click(self._wanting(wish))
         self._auto = gui.add_checkbox(f"Let {self._config.policy.policy} play", False)
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown(_KEYS)
         for key, label, wish in (
+            *buttons,
             ("B", "Select the bead before", lambda: self._select(-1)),
             ("F", "Select the bead after", lambda: self._select(1)),
             ("I", "Pull up", lambda: self._push(0, 1, 0)),
@@ -100,13 +100,9 @@ class HandTab:
             ("O", "Pull over", lambda: self._push(0, 0, 1)),
             ("U", "Pull under", lambda: self._push(0, 0, -1)),
         ):
-            self._hotkey(label, key, wish)
+            gui.add_command(label, hotkey=key).on_trigger(self._wanting(wish))
         for modifier, lift in ((None, None), ("shift", 1.0), ("alt", -1.0)):
             self.scene.grips.on_drag("left", modifier=modifier)(self._dragging(lift))
-
-    def _hotkey(self, label: str, key: str, wish: Callable[[], None]) -> None:
-        command = self._client.gui.add_command(label, hotkey=key)
-        command.on_trigger(self._wanting(wish))
 
     def _dragging(self, lift: float | None) -> Callable[[Any], None]:
         def _read_drag(event: Any) -> None:
@@ -125,11 +121,7 @@ class HandTab:
 
     def _wanting(self, wish: Callable[[], None]) -> Callable[[Any], None]:
         """Return what leaves a wish; the latest one counts."""
-
-        def _leave(_: Any) -> None:
-            self.wish = wish
-
-        return _leave
+        return lambda _: setattr(self, "wish", wish)
 
     # the tab's thread --------------------------------------------------------------------
 

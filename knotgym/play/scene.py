@@ -96,19 +96,13 @@ class RopeScene:
             self._marks = []
             for number, row in enumerate(np.argsort(first), start=1):
                 sign = "+" if found.over_place[row] < found.under_place[row] else "-"
-                place = SCALE * _at(points, float(found.over_place[row]))
-                add, at = self._client.scene.add_label, place + [0, 0, 0.15]
+                add, at = self._client.scene.add_label, SCALE * found.over_points[row]
+                at[2] += 0.15
                 self._marks.append(add(f"/crossings/{number}", f"{number}{sign}", position=at))
 
     def select(self, points: Array, bead: int) -> None:
         """Mark the bead that keys pull."""
         self._selected.visible, self._selected.position = True, SCALE * points[bead]
-
-
-def _at(points: Array, place: float) -> Array:
-    """Return the point at a place along the rope, (3,): bead and fraction of its edge."""
-    bead, share = int(place) % len(points), place % 1
-    return np.asarray((1 - share) * points[bead] + share * points[(bead + 1) % len(points)])
 
 
 def _poses(points: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
