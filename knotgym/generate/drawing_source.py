@@ -10,7 +10,7 @@ may differ.
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import lru_cache
 from itertools import count, islice
 from typing import Any, NamedTuple
@@ -104,18 +104,18 @@ class WantedCodes:
         if config.every_code:
             self.wanted = len(self._order)
 
-    def lacking(self, have: Mapping[int, int], given_up: Collection[int]) -> Counter[int]:
+    def lacking(self, have: Counter[int], given_up: Collection[int]) -> Counter[int]:
         """Count the states still to be made, by index of their code.
 
         A code that is given up keeps the states it has, and later codes take its other places.
         """
         chosen = Counter[int]()
         order: Iterator[int] = count() if self._order is None else iter(self._order)
-        fitting = (one for one in order if one not in given_up or chosen[one] < have.get(one, 0))
+        fitting = (one for one in order if one not in given_up or chosen[one] < have[one])
         # counted while `fitting` is followed, since it looks at the counts so far
         for index in islice(fitting, self.wanted):
             chosen[index] += 1
-        return chosen - Counter(have)
+        return chosen - have
 
     def __getitem__(self, index: int) -> GaussCode:
         if self.listed is not None:
@@ -174,16 +174,22 @@ def drawn_rows(
     """
     codes = {nx: WantedCodes(config, nx) for nx in config.nx}
     selection, have = Selection(apart_from), {nx: Counter[int]() for nx in config.nx}
-    made, reserved = Counter[tuple[int, int]](), Counter[tuple[int, int]]()
-    made_before = Counter[tuple[int, int]]()  # drawings until a code's last state was kept
+    # by nx and index; `made_before`: drawings until a code's last state was kept
+    made, reserved, made_before = (Counter[tuple[int, int]]() for _ in range(3))
     given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
     kept = defaultdict[tuple[int, int], list[NDArray[np.float64]]](list)
     while True:
-        orders, needed = list[_Order](), Counter[tuple[int, int]]()
-        for nx in config.nx:
-            for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items():
-                needed[nx, index] = lacking
-        parts = [(one, part) for one in needed for part in _parts(needed[one], _COPIES)]
+        orders = list[_Order]()
+        needed = {
+            (nx, index): lacking
+            for nx in config.nx
+            for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items()
+        }
+        parts = [
+            (one, min(_COPIES, lacking - done))
+            for one, lacking in needed.items()
+            for done in range(0, lacking, _COPIES)
+        ]
         # later rounds are of few codes, so several calls share the drawings of each
         sharing = max(1, CALLS // len(parts)) if parts and made else 1
         for (nx, index), wanted in (one for one in parts for _ in range(sharing)):
@@ -319,14 +325,12 @@ def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Result:
     for order in orders:
         selection, number = Selection([order.kept]), order.first
         rejected = selection.rejected[order.code.nx]
-        letters = _letters(order.code, config.knot)
         while number < order.first + order.drawings and len(selection) < order.wanted:
-            # `which` keeps codes from all starting with the same chirality
-            turn = (order.which + number) % len(letters)
-            code = GaussCode(order.code.visits, letters[turn])
-            row = _drawn(config, order, code, number, simulation, rejected)
+            row = _drawn(config, order, number, simulation)
             number += 1
-            if row is not None and selection.offer(stacked([row]), 0):
+            if isinstance(row, list):
+                rejected.update(row)
+            elif selection.offer(stacked([row]), 0):
                 rows.append(row)
         drawn.append([order.code.nx, order.which, number - order.first, rejected])
     return with_report(stacked(rows), drawn)
@@ -344,14 +348,12 @@ def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
 
 
 def _drawn(
-    config: GenerateConfig,
-    order: _Order,
-    code: GaussCode,
-    number: int,
-    simulation: Simulation,
-    rejected: Counter[str],
-) -> dict[str, Any] | None:
-    """Make one state; return None if it is rejected, and count the reasons in `rejected`."""
+    config: GenerateConfig, order: _Order, number: int, simulation: Simulation
+) -> dict[str, Any] | list[str]:
+    """Make one state; if it is rejected, return the reasons."""
+    letters = _letters(order.code, config.knot)
+    # `which` keeps codes from all starting with the same chirality
+    code = GaussCode(order.code.visits, letters[(order.which + number) % len(letters)])
     rope = simulation.rope
     seed = Stream.DRAWING.key(config.seed, code.nx, order.which, number)
     rng = Stream.generator_of(seed)
@@ -359,27 +361,20 @@ def _drawn(
         # all chance comes from the key of (seed, code, number): the same drawing on any machine
         curve = drawn_curve(code, rng, rope, config.drawing)
     except Failed:
-        rejected["too tight"] += 1
-        return None
+        return ["too tight"]
     # most rejections are seen on the curve, before anything is simulated
-    faults = config.limits.faults(measure(curve, quick=True), code.nx)
-    if faults:
-        rejected.update(faults)
-        return None
+    if faults := config.limits.faults(measure(curve, quick=True), code.nx):
+        return faults
     start = rope.qpos(curve)
     simulation.set_qpos(start[None], _ONE)
     actions = _stirred(simulation, code, rng)
     if actions is None:
-        rejected["simulation failed"] += 1
-        return None
+        return ["simulation failed"]
     qpos = simulation.qpos(_ONE)[0]
     # where a reset lays the rope, not where the engine left it
     points = rope.points(qpos)
     judgement = judge(points, [config.limits], code=code)
-    rejected.update(judgement.faults)
-    if judgement.faults:
-        return None
-    return row_of(
+    return judgement.faults or row_of(
         judgement,
         points,
         qpos,
@@ -412,12 +407,3 @@ def _stirred(
             return None
         actions.append(action[0])
     return np.array(actions)
-
-
-def _parts(total: int, most: int) -> list[int]:
-    """Split a number into parts of at most `most`.
-
-    >>> _parts(23, 10)
-    [10, 10, 3]
-    """
-    return [min(most, total - done) for done in range(0, total, most)]

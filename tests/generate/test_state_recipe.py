@@ -194,13 +194,13 @@ def test_several_calls_draw_the_last_codes_and_more_attempts_give_what_they_woul
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     config = replace(DRAWN, nx=(1,), every_code=0, count=3, attempts=30)
-    ((stubborn, wanted),) = WantedCodes(config, 1).lacking({}, ()).most_common(1)
+    ((stubborn, wanted),) = WantedCodes(config, 1).lacking(Counter(), ()).most_common(1)
     made, real = list[tuple[int, int]](), drawing_source._drawn
 
-    def picky(config: GenerateConfig, order: Any, code: Any, number: int, *rest: Any) -> Any:
+    def picky(config: GenerateConfig, order: Any, number: int, *rest: Any) -> Any:
         made.append((order.which, number))
         refused = order.which == stubborn and number < 100
-        return None if refused else real(config, order, code, number, *rest)
+        return ["refused"] if refused else real(config, order, number, *rest)
 
     memory = dict[str, Result]()
     monkeypatch.setattr(drawing_source, "_drawn", picky)
@@ -274,11 +274,11 @@ def test_a_selection_refuses_near_duplicates_up_to_symmetry(played: Path) -> Non
 
 def test_a_code_that_is_given_up_leaves_its_places_to_others() -> None:
     codes = WantedCodes(GenerateConfig(nx=(2,), count=4), 2)
-    first, *others = codes.lacking({}, ())
-    assert codes.lacking({}, ()).total() == 4
-    later = codes.lacking({}, {first})
+    first, *others = codes.lacking(Counter(), ())
+    assert codes.lacking(Counter(), ()).total() == 4
+    later = codes.lacking(Counter(), {first})
     assert later.total() == 4 and first not in later and {*others} < {*later}
-    assert codes.lacking({first: 1}, {first}) == Counter(others)
+    assert codes.lacking(Counter([first]), {first}) == Counter(others)
 
 
 def test_the_coil_is_as_small_as_the_published_one(rope: Rope) -> None:
