@@ -333,7 +333,7 @@ def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Result:
             elif selection.offer(stacked([row]), 0):
                 rows.append(row)
         drawn.append([order.code.nx, order.which, number - order.first, rejected])
-    return with_report(stacked(rows), drawn)
+    return with_report(rows, drawn)
 
 
 @lru_cache(maxsize=4096)

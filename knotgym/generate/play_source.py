@@ -26,15 +26,7 @@ from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy, ro
 from knotgym.datasets import STARTS
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.state_rows import (
-    Selection,
-    joined,
-    judge,
-    row_of,
-    stacked,
-    with_report,
-    without_report,
-)
+from knotgym.generate.state_rows import Selection, judge, row_of, with_report, without_report
 from knotgym.rope import Array, Rope, drawn_actions, quantized
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import SOURCES, STATE_SPLITS
@@ -251,14 +243,13 @@ def rows_of_ropes(
     Raises:
         Failed: states are missing, although `config.attempts` are used up.
     """
-    ropes, selection = _pulls_of(config).ropes, Selection(apart_from)
+    ropes, selection, lived = _pulls_of(config).ropes, Selection(apart_from), 0
     have, of_code = Counter[tuple[int, str]](), Counter[tuple[str, GaussCode]]()
-    lived = 0
+    train = int(np.floor(config.count * config.train_share + 0.5))
+    # states of each number of crossings
+    wanted = dict(zip(STATE_SPLITS, (train, config.count - train), strict=True))
     while lacking := [
-        (nx, split)
-        for nx in config.nx
-        for split in STATE_SPLITS
-        if have[nx, split] < _wanted(config, nx, split)
+        (nx, split) for nx in config.nx for split in STATE_SPLITS if have[nx, split] < wanted[split]
     ]:
         if lived >= config.attempts * config.count:
             named = ", ".join(f"nx {nx} {split}" for nx, split in lacking)
@@ -275,14 +266,12 @@ def rows_of_ropes(
             rows, reasons = without_report(result)
             for nx, each in reasons:
                 selection.rejected[nx].update(each)
-            for row, rope in enumerate(_ropes_of(rows)):
+            for row, rope in enumerate(rows["source/trajectory"].tolist()):
                 code = GaussCode.parse(str(rows["gauss_code"][row]))
                 split = _split_of(config, rope)
-                even = _wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
-                if have[code.nx, split] >= _wanted(config, code.nx, split):
-                    continue
+                even = wanted[split] / len(codes_of(UNKNOT, code.nx))
                 most = max(_LEAST, _UNEVEN * even) if config.source == _READABLE else np.inf
-                if of_code[split, code] >= most:
+                if have[code.nx, split] >= wanted[split] or of_code[split, code] >= most:
                     continue
                 if selection.offer(rows, row):
                     have[code.nx, split] += 1
@@ -292,14 +281,7 @@ def rows_of_ropes(
         attempts=lived,
         rejected=selection.reasons(config.nx),
     )
-    rows = selection.rows()
-    return joined([rows.take(rows["nx"] == nx) for nx in config.nx])
-
-
-def _wanted(config: GenerateConfig, nx: int, split: str) -> int:
-    """Return the number of states to make with nx crossings in a split."""
-    train = int(np.floor(config.count * config.train_share + 0.5))
-    return train if split == STATE_SPLITS[0] else config.count - train
+    return selection.rows()
 
 
 def _split_of(config: GenerateConfig, rope: int) -> str:
@@ -310,12 +292,7 @@ def _split_of(config: GenerateConfig, rope: int) -> str:
 
 def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
     """Return the split of each row, that of its rope."""
-    return np.array([_split_of(config, rope) for rope in _ropes_of(rows)])
-
-
-def _ropes_of(rows: Table) -> list[int]:
-    """Return the ropes that rows come from, by their numbers in the run."""
-    return [int(seed[2]) for seed in rows["source/seed"]]
+    return np.array([_split_of(config, rope) for rope in rows["source/trajectory"].tolist()])
 
 
 def _pulls_of(config: GenerateConfig) -> PlayConfig:
@@ -368,4 +345,4 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
             row["source/actions"] = pulled.actions[frame.rope, : frame.step]
         rows.append(row)
     rows.sort(key=lambda row: (row["source/trajectory"], row["source/steps"]))
-    return with_report(stacked(rows), list(rejected.items()))
+    return with_report(rows, list(rejected.items()))

@@ -91,9 +91,9 @@ def stacked(rows: Sequence[Mapping[str, Any]]) -> Table:
     return joined(made)
 
 
-def with_report(rows: Table, report: Any) -> Result:
+def with_report(rows: Sequence[Mapping[str, Any]], report: Any) -> Result:
     """Return the result of a unit of work: columns, and a report as JSON beside them."""
-    return {**rows, _REPORT: np.array(json.dumps(report))}
+    return {**stacked(rows), _REPORT: np.array(json.dumps(report))}
 
 
 def without_report(result: Result) -> tuple[Table, Any]:

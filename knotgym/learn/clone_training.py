@@ -17,7 +17,6 @@ from torch import Tensor
 
 from knotgym.common import Stream
 from knotgym.learn.clone_network import CloneNetwork, inputs
-from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Training
 from knotgym.learn.training_data import Examples
@@ -94,23 +93,6 @@ class CloneTraining(Training):
         network = CloneNetwork(self._config.width, self._config.layers).to(self._config.device)
         network.load_state_dict(weights)
         return network.eval()
-
-
-def first_guesses(network: CloneNetwork, data: Examples, seed: int) -> dict[str, dict[str, float]]:
-    """Compute how often the likeliest bead is the one chosen, in held-out decisions, by nx."""
-    aside, crossings = data.worked & _held_out(data.episodes, seed), data.nx
-    found = dict[str, dict[str, float]]()
-    for nx in np.unique(crossings[aside]).tolist():
-        own = data.rows(np.flatnonzero(aside & (crossings == nx))[:_JUDGED])
-        with torch.no_grad():
-            guesses = network(inputs(own[:4])).logits.argmax(1).numpy()
-        apart = np.abs(guesses - own.macros[:, 0])
-        found[f"nx {nx}"] = {
-            "decisions": len(guesses),
-            "bead_first_guess": float(np.mean(apart == 0)),
-            "bead_within_two": float(np.mean(np.minimum(apart, BEADS - apart) <= 2)),
-        }
-    return found
 
 
 def _held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from knotgym.common import InvalidInput, Stream, Table, sha256
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.card import CARD, CLONE, PICTURES
 from knotgym.learn.checkpoint import save_network
-from knotgym.learn.clone_training import CloneTraining, first_guesses
+from knotgym.learn.clone_training import CloneTraining
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
@@ -209,7 +209,6 @@ def _train_clone(
         "episodes": len(np.unique(data.episodes)),
         "decisions": int(data.worked.sum()),
         "decisions_not_imitated": int((~data.worked).sum()),
-        "held_out": first_guesses(network, data, config.seed),
     }
     save_network(place, network, CLONE, {**card, **facts})
     draw_curve(place, ("training", "held_out"), training.losses, kept)

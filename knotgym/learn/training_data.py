@@ -83,11 +83,6 @@ class Examples(NamedTuple):
         """Return some of the examples."""
         return Examples(*(column[index] for column in self))
 
-    @property
-    def nx(self) -> NDArray[np.int64]:
-        """Crossings of the goals, int64 (n,)."""
-        return np.count_nonzero(self.goal[:, :, 0], axis=1) // 2
-
 
 def _examples(
     points: NDArray[np.floating],

@@ -103,8 +103,8 @@ def possible_types(code: GaussCode) -> list[str]:
 
     Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
     """
-    _parts = summands(simplify(code))
-    return _types_from_polynomials(_parts[0]) if len(_parts) == 1 else []
+    parts = summands(simplify(code))
+    return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
 
 
 def shows(code: GaussCode, knot: str) -> bool:

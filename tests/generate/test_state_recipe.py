@@ -17,7 +17,7 @@ from knotgym.datasets import Episodes, open_episodes
 from knotgym.generate import drawing_source, generate_config, state_recipe
 from knotgym.generate.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.play_source import PhasedPulls, _ropes_of, rows_of_ropes
+from knotgym.generate.play_source import PhasedPulls, rows_of_ropes
 from knotgym.generate.state_recipe import make_states
 from knotgym.generate.state_rows import Selection, judge
 from knotgym.quality import Limits
@@ -132,7 +132,7 @@ def test_the_splits_share_no_rope_and_the_states_keep_their_limits(
     source: str, limits: list[Limits], request: pytest.FixtureRequest
 ) -> None:
     states = states_in(request.getfixturevalue(source))
-    ropes = np.array(_ropes_of(states.table))
+    ropes = states.source["trajectory"]
     train, test = (set(ropes[states.split == split].tolist()) for split in ("train", "test"))
     assert train and test and not train & test
     found = Counter(zip(states.nx.tolist(), states.split.tolist(), strict=True))
