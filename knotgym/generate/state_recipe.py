@@ -11,8 +11,9 @@ from other starts: by the expert, first in haste, and then by the planner.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -144,21 +145,13 @@ def _demonstrate_all(
         further = states_of(starts, sides, states.engine, states.attributes["config"])
         playing = States(Table.joined([states.table, further.table]), states.attributes)
     write_states(path, playing)
-    sets = yield from _demonstrated(config, playing, len(states), path)
-    states = _published(sets, config, states, place / "minari", path)
+    made = yield from _demonstrated(config, playing, len(states), path)
+    states = _published(made, config, states, place / "minari", path)
     shown = states.source["dataset"] != ""
     report["demonstrations"] = int(shown.sum())
     lacking = ~shown & np.isin(states.nx, _demonstrated_nx(config))
     report["undemonstrated"] = np.unique(states.gauss_code[lacking]).tolist()
     return states
-
-
-class _Demonstrated(NamedTuple):
-    """The episodes with goals of one nx and split, in the order of the states."""
-
-    nx: int
-    split: str
-    episodes: Episodes
 
 
 def _start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, NDArray[np.str_]]]:
@@ -210,8 +203,8 @@ def _demonstrated_nx(config: GenerateConfig) -> list[int]:
 
 def _demonstrated(
     config: GenerateConfig, states: States, count: int, path: Path
-) -> Recipe[list[_Demonstrated]]:
-    """Demonstrate the codes of the first `count` states.
+) -> Recipe[dict[int, Episodes]]:
+    """Demonstrate the codes of the first `count` states; return the episode of each, by its row.
 
     Args:
         config: of the run.
@@ -246,12 +239,7 @@ def _demonstrated(
                 made.setdefault(goal, episodes.select([k]))
         goals = {kind: [k for k in rows if k not in made] for kind, rows in goals.items()}
         attempt = after
-    return [
-        _Demonstrated(nx, split, Episodes.merged([made[row] for row in rows]))
-        for nx in config.nx
-        for split in STATE_SPLITS
-        if (rows := [row for row in states.rows(nx, split).tolist() if row in made])
-    ]
+    return made
 
 
 def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int) -> Result:
@@ -305,12 +293,13 @@ def _dataset_id(nx: int, split: str, knot: str) -> str:
 
 
 def _published(
-    sets: Sequence[_Demonstrated], config: GenerateConfig, states: States, root: Path, path: Path
+    made: Mapping[int, Episodes], config: GenerateConfig, states: States, root: Path, path: Path
 ) -> States:
-    """Publish each set as a Minari dataset; return the states with where they are demonstrated.
+    """Publish the episodes with goals of one nx and split as a Minari dataset, in the order of the
+    states; return the states with where they are demonstrated.
 
     Args:
-        sets: the demonstrations.
+        made: the episode of each demonstrated state.
         config: of the run.
         states: the set.
         root: Minari root to write below.
@@ -318,7 +307,11 @@ def _published(
     """
     knot, dataset = type_of(config.knot), [""] * len(states)
     trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
-    for nx, split, episodes in sets:
+    for nx, split in product(config.nx, STATE_SPLITS):
+        own = [made[row] for row in states.rows(nx, split).tolist() if row in made]
+        if not own:
+            continue
+        episodes = Episodes.merged(own)
         rows, name = episodes.episodes, _dataset_id(nx, split, knot)
         metadata = MinariMetadata(
             dataset_id=name,

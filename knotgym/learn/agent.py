@@ -67,8 +67,8 @@ class _Episode:
     """State of one episode.
 
     Attributes:
-        goals: candidate goal codes and their weights, which need not sum to 1.
-        goal: the most likely one.
+        hypotheses: of its rope, and of its goal.
+        goal: the most likely code of the goal.
         named: float64 (3,), the point that the last action named; None before the first action.
         force: float64 (3,), of the last action.
         step: actions taken.
@@ -81,7 +81,6 @@ class _Episode:
     rng: np.random.Generator
     horizon: int
     hypotheses: ShapeHypotheses
-    goals: dict[GaussCode, float] = field(default_factory=dict)
     goal: GaussCode | None = None
     named: Array | None = None
     force: Array = field(default_factory=lambda: np.zeros(3))
@@ -128,11 +127,7 @@ class PicturePlayer:
         Returns:
             The action, float32 (6,): the point that it names, and the force.
         """
-        size = picture.shape[0]
-        if not episode.goals:
-            goal = np.ascontiguousarray(picture[:, size:])
-            episode.goals = episode.hypotheses.codes(goal)
-        rope = np.ascontiguousarray(picture[:, :size])
+        rope = episode.hypotheses.look(picture)
         # before the first action there is nothing to predict from
         if episode.named is None:
             episode.hypotheses.start(rope)
@@ -150,9 +145,10 @@ class PicturePlayer:
         shown = episode.hypotheses.codes(picture, own=True)
         # Bayes' rule for "the episode continues": its likelihood is _MISREAD if the rope shows the
         # goal's code and 1 if not, averaged over the codes that the rope may show.
-        for code in episode.goals:
-            episode.goals[code] *= 1.0 - (1.0 - _MISREAD) * shown.get(code, 0.0)
-        goal = max(episode.goals, key=lambda code: episode.goals[code])
+        goals = episode.hypotheses.goals
+        for code in goals:
+            goals[code] *= 1.0 - (1.0 - _MISREAD) * shown.get(code, 0.0)
+        goal = max(goals, key=lambda code: goals[code])
         if goal != episode.goal:
             episode.goal, episode.plan = goal, []
 

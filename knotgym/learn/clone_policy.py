@@ -91,20 +91,22 @@ class _ClonePlayer(ActionPlayer):
         self._network, split = policy.network, batch.task.split
         self._values = PassValues.of_split(split, every_code=True) if policy.guided else None
         self._codes: dict[int, GaussCode | None] = {}  # at the last choice
-        self._eyes: dict[int, _Eyes] = {}
+        self._seen: dict[int, ShapeHypotheses] = {}  # where only pictures are
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         super().begin(ids, rngs)
         for index in ids.tolist():
             self._codes[index] = None
             if self.batch.task.observation == "pixels":
-                self._eyes[index] = _Eyes(self.rngs[index])
+                reader, starts = load_reader(PRETRAINED)
+                chain = ChainSimulation(MOST_IMAGINED)
+                self._seen[index] = ShapeHypotheses(reader, chain, starts, self.rngs[index])
 
     def choose(self, ids: Ids) -> NDArray[np.float32]:
         indices = ids.tolist()
-        if self._eyes:
-            seen = [self._eyes[k].look(self.batch.rgb(k)) for k in indices]
-            points, goals = np.stack([rope for rope, _ in seen]), [goal for _, goal in seen]
+        if self._seen:
+            read = [self._read(k) for k in indices]
+            points, goals = np.stack([rope for rope, _ in read]), [goal for _, goal in read]
             codes = [label(rope) for rope in points]
         else:
             points, goals = self.batch.simulation.points[ids], self.batch.goals_of(ids)
@@ -117,27 +119,15 @@ class _ClonePlayer(ActionPlayer):
         macros[:, 2] = macros[:, 2] > 0  # the view has 0 for under, 1 for over
         return macros.astype(np.float32)
 
-
-class _Eyes:
-    """Reads the pictures of one episode."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        reader, starts = load_reader(PRETRAINED)
-        self._hypotheses = ShapeHypotheses(reader, ChainSimulation(MOST_IMAGINED), starts, rng)
-        self._goals: dict[GaussCode, float] = {}
-
-    def look(self, picture: NDArray[np.uint8]) -> tuple[Array, GaussCode]:
+    def _read(self, index: int) -> tuple[Array, GaussCode]:
         """Return the likeliest vertices of the rope, float64 (beads, 3), and code of the goal."""
-        size = picture.shape[0]
-        if not self._goals:
-            goal = np.ascontiguousarray(picture[:, size:])
-            self._goals = self._hypotheses.codes(goal)
-        self._hypotheses.start(np.ascontiguousarray(picture[:, :size]))
-        rope = self._hypotheses.ropes[0]
+        hypotheses = self._seen[index]
+        hypotheses.start(hypotheses.look(self.batch.rgb(index)))
+        rope, goals = hypotheses.ropes[0], hypotheses.goals
         # the goal isn't shown yet, or the episode would be over
         shown = label(rope)
-        left = [code for code in self._goals if not code.matches(shown)] or list(self._goals)
-        return rope, max(left, key=lambda code: self._goals[code])
+        left = [code for code in goals if not code.matches(shown)] or list(goals)
+        return rope, max(left, key=lambda code: goals[code])
 
 
 def choose_macros(

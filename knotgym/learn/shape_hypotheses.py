@@ -198,6 +198,7 @@ class ShapeHypotheses:
         velocities: float64 (n, BEADS, 3), m/s.
         weights: float64 (n,), probabilities that sum to 1.
         position: belief about the position of the rope's middle.
+        goals: candidate codes of the goal and their weights; empty before its picture is seen.
         bead: the one most likely pulled by the last action.
     """
 
@@ -212,7 +213,15 @@ class ShapeHypotheses:
         self.position = PositionBelief(starts, rng)
         self.ropes = self.velocities = np.zeros((1, BEADS, 3))
         self.weights = np.ones(1)
+        self.goals = dict[GaussCode, float]()
         self.bead = 0
+
+    def look(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the rope's half of a picture (SIZE, 2 SIZE, 3); read the goal's half at first."""
+        size = picture.shape[0]
+        if not self.goals:
+            self.goals = self.codes(np.ascontiguousarray(picture[:, size:]))
+        return np.ascontiguousarray(picture[:, :size])
 
     def start(self, picture: NDArray[np.uint8]) -> None:
         """Take the readings of an episode's first picture, uint8 (SIZE, SIZE, 3), as hypotheses."""

@@ -91,7 +91,7 @@ def test_the_code_shown_is_not_the_goal_while_the_episode_continues() -> None:
     player = PicturePlayer(Learned(reader, np.zeros((1, 3))), batch)
     player.begin(np.zeros(1, np.int64), [np.random.default_rng(0)])
     episode, plain, kink = player._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
-    episode.goals = {plain: 0.6, kink: 0.4}
+    episode.hypotheses.goals = {plain: 0.6, kink: 0.4}
     picture = np.zeros((128, 128, 3), dtype=np.uint8)
     episode.hypotheses.start(picture)
     player._update_goal(episode, picture)
