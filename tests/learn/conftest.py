@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -30,6 +31,20 @@ def train(data: Sequence[Path], out: Path, config: Any, *, resume: bool = False)
     from knotgym.learn.train_recipe import train
 
     return train(data, out, config, RunOptions(workers=1, quiet=True, resume=resume))
+
+
+def break_off(data: Sequence[Path], out: Path, config: Any) -> None:
+    """Train until the first checkpoint is saved, and interrupt."""
+    from knotgym.learn.training import Training
+
+    save = Training.save
+
+    def save_and_stop(training: Training, path: Path) -> None:
+        save(training, path)
+        raise KeyboardInterrupt
+
+    with mock.patch.object(Training, "save", save_and_stop), pytest.raises(KeyboardInterrupt):
+        train(data, out, config)
 
 
 def weights(folder: Path) -> bytes:

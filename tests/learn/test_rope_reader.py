@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import runpy
-import shutil
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -23,7 +21,6 @@ pytestmark = pytest.mark.clients
 pytest.importorskip("safetensors")
 torch = pytest.importorskip("torch")
 
-from knotgym.learn.card import policy_folder  # noqa: E402
 from knotgym.learn.rope_reader import _crossings_of, _line_in, _turned_back, load_rope_reader  # noqa: E402
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields  # noqa: E402
 
@@ -126,23 +123,16 @@ def test_a_picture_of_another_kind_is_refused(picture: Any) -> None:
         load_rope_reader().read(picture)
 
 
-def test_other_views_than_there_are_are_refused() -> None:
+def test_an_empty_picture_has_no_rope_and_there_are_8_views() -> None:
+    empty = np.full((64, 64, 3), 90, np.uint8)
+    assert load_rope_reader().read(empty, views=1) is None
     with pytest.raises(InvalidInput, match="views must be from 1 to 8, got 9"):
-        load_rope_reader().read(np.zeros((64, 64, 3), np.uint8), views=9)
+        load_rope_reader().read(empty, views=9)
 
 
-def test_an_empty_picture_has_no_rope() -> None:
-    assert load_rope_reader().read(np.full((64, 64, 3), 90, np.uint8), views=1) is None
-
-
-def test_changed_weights_are_refused(tmp_path: Path) -> None:
-    shutil.copytree(policy_folder("rope-reader"), tmp_path / "own")
+def test_a_learner_of_another_kind_is_refused() -> None:
     with pytest.raises(InvalidFile, match="isn't of learner rope-reader but of 'pictures'"):
         load_rope_reader("pretrained")
-    weights = tmp_path / "own" / "weights.safetensors"
-    weights.write_bytes(weights.read_bytes()[:-2] + b"no")
-    with pytest.raises(InvalidFile, match="doesn't match the checksum"):
-        load_rope_reader(str(tmp_path / "own"))
 
 
 def test_photos_are_read_of_any_size(states: States) -> None:

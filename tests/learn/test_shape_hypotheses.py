@@ -16,7 +16,7 @@ from knotgym.learn.agent import PicturePlayer  # noqa: E402
 from knotgym.learn.checkpoint import Learned  # noqa: E402
 from knotgym.learn.colour_reading import BEADS  # noqa: E402
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, imagine  # noqa: E402
-from knotgym.rope import ChainSimulation  # noqa: E402
+from knotgym.rope import ChainSimulation, Rope  # noqa: E402
 from knotgym.topology import GaussCode  # noqa: E402
 
 Array = NDArray[np.float64]
@@ -44,16 +44,7 @@ class TwoReadings:
 def tilted_loop() -> Array:
     """Return a circle tilted out of the plane, so that its mirror image differs."""
     angle = 2 * np.pi * np.arange(BEADS) / BEADS
-    radius = 1.33 / (2 * np.pi)
-    flat = np.stack([np.cos(angle), np.sin(angle), 0.5 * np.cos(angle)], axis=1)
-    flat *= radius
-    for _ in range(50):  # equal chords
-        points = np.vstack([flat, flat[:1]])
-        along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        even = np.linspace(0, along[-1], BEADS, endpoint=False)
-        flat = np.stack([np.interp(even, along, points[:, c]) for c in range(3)], axis=1)
-        flat *= 1.33 / along[-1]
-    return flat - flat.mean(axis=0)
+    return Rope().from_curve(np.stack([np.cos(angle), np.sin(angle), 0.5 * np.cos(angle)], axis=1))
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from knotgym.datasets import Episodes
 from knotgym.states import shipped
 
 from ..small_job import staging_of
-from .conftest import CLONE, READER, TASK, published, put_card, train, weights
+from .conftest import CLONE, READER, TASK, break_off, published, put_card, train, weights
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
@@ -28,21 +28,11 @@ pytest.importorskip("safetensors")
 
 @pytest.mark.parametrize("config", [READER, CLONE], ids=["reader", "clone"])
 def test_an_interrupted_training_ends_with_the_same_weights(
-    config: Any, data: Path, tmp_path: Path, request: Any, monkeypatch: pytest.MonkeyPatch
+    config: Any, data: Path, tmp_path: Path, request: Any
 ) -> None:
-    from knotgym.learn.training import Training
-
     whole = request.getfixturevalue("learner" if config is READER else "clone")
-    out, save = tmp_path / "broken", Training.save
-
-    def save_and_stop(training: Training, path: Path) -> None:
-        save(training, path)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Training, "save", save_and_stop)
-    with pytest.raises(KeyboardInterrupt):
-        train([data], out, config)
-    monkeypatch.undo()
+    out = tmp_path / "broken"
+    break_off([data], out, config)
     assert not out.exists()
     with pytest.raises(Occupied, match="--resume continues it"):
         train([data], out, config)
@@ -181,11 +171,9 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
 
 @pytest.mark.parametrize("what", ["macro-actions", "success", "states"])
 def test_a_training_is_not_resumed_with_another_file(
-    what: str, played: Episodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    what: str, played: Episodes, tmp_path: Path
 ) -> None:
-    from knotgym.learn.training import Training
-
-    out, save = tmp_path / "out", Training.save
+    out = tmp_path / "out"
     config, data, states = CLONE, [published(tmp_path, played)], tmp_path / "states.h5"
     if what == "states":
         shutil.copy(shipped("readable"), states)
@@ -203,14 +191,7 @@ def test_a_training_is_not_resumed_with_another_file(
         shutil.rmtree(tmp_path / "knotgym")
         published(tmp_path, other)
 
-    def save_and_stop(training: Training, path: Path) -> None:
-        save(training, path)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Training, "save", save_and_stop)
-    with pytest.raises(KeyboardInterrupt):
-        train(data, out, config)
-    monkeypatch.undo()
+    break_off(data, out, config)
     kept = shutil.copytree(tmp_path, tmp_path.with_name(f"{what}-kept"))
     train(data, out, config, resume=True)
     swap()
