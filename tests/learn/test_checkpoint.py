@@ -85,7 +85,8 @@ def test_a_clone_is_as_large_as_its_weights_whatever_its_card_says(
     copy = shutil.copytree(clone, tmp_path / "copy")
     put_card(copy, config={"width": 10**9, "layers": 10**9, "guided": False})
     assert len(load_clone(copy).network.norm.weight) == 16
-    for signature in ([], [1.0], "x", None, [[1.0]], [float("nan")] * 36, {}):
+    signatures: list[Any] = [[], [1.0], "x", None, [[1.0]], [float("nan")] * 36, {}]
+    for signature in signatures:
         put_card(copy, signature=signature)
         with pytest.raises(InvalidFile, match="another network|this version's clone"):
             load_clone(copy)
