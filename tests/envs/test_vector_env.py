@@ -66,22 +66,13 @@ def test_threads_change_no_byte_of_observations_codes_and_rewards(make: MakeVec)
         assert same(one.step(pull), three.step(pull))
 
 
-@pytest.mark.parametrize("observation", ["pixels", "state", "both", "symbolic"])
-def test_make_vec_gives_one_batched_simulation(states_path: str, observation: str) -> None:
-    envs = gym.make_vec(
-        "knotgym/Tie-v0", num_envs=4, nx=3, states=states_path, observation=observation
-    )
-    assert (
-        isinstance(envs.unwrapped, KnotVectorEnv) and envs.unwrapped.episodes.simulation.count == 4
-    )
+def test_make_vec_gives_one_batched_simulation(states_path: str) -> None:
+    envs = gym.make_vec("knotgym/Tie-v0", num_envs=4, nx=3, states=states_path, observation="both")
+    assert isinstance(envs.unwrapped, KnotVectorEnv)
+    assert envs.unwrapped.episodes.simulation.count == 4
     observations, _ = envs.reset()
     assert observations in envs.observation_space
-    seen = observations["state"] if observation == "both" else observations
-    assert observation == "symbolic" or len({one.tobytes() for one in seen}) == 4
-    observations, rewards, terminated, truncated, _ = envs.step(envs.action_space.sample())
-    assert observations in envs.observation_space
-    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, np.bool_, np.bool_)
-    assert rewards.shape == terminated.shape == truncated.shape == (4,)
+    assert len({one.tobytes() for one in observations["state"]}) == 4
 
 
 @both_modes
@@ -174,12 +165,8 @@ def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
     blow_up(envs.episodes.simulation, 1)
     each = actions(3, 2)
     ours, theirs = envs.step(each[0]), others.step(each[0])
-    assert (
-        ours[1].tolist() == [0, 0, 0]
-        and ours[2].tolist() == [False] * 3
-        and ours[3].tolist() == [False, True, False]
-    )
-    assert ours[4]["simulation_failed"].tolist() == [False, True, False]
+    assert not ours[1].any() and not ours[2].any()
+    assert ours[3].tolist() == ours[4]["simulation_failed"].tolist() == [False, True, False]
     assert np.isfinite(ours[0]).all() and np.array_equal(ours[0][[0, 2]], theirs[0][[0, 2]])
     ours, theirs = envs.step(each[1]), others.step(each[1])
     assert ours[4]["simulation_failed"].tolist() == [False] * 3 and ours[4]["bead"][1] == -1

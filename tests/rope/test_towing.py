@@ -9,7 +9,7 @@ import pytest
 
 from knotgym.control import Policy, PolicyConfig, make_policy, rollouts, verify
 from knotgym.datasets import Episodes, write_episodes
-from knotgym.envs import EpisodeBatch, KnotEnv, TaskConfig
+from knotgym.envs import KnotEnv, TaskConfig
 from knotgym.rope.actions import TowBound
 
 from ..envs.test_env import goal_is_shown
@@ -57,16 +57,6 @@ def test_beyond_the_bound_no_state_counts_as_the_goal(states_path: str) -> None:
     *_, terminated, truncated, info = env.step(np.array([0, 0, 0, 0, 0, 0.1], dtype=np.float32))
     assert info["gauss_code"] == info["goal_gauss_code"]
     assert truncated and not terminated and not info["is_success"]
-
-
-def test_without_a_bound_a_rope_is_towed_anywhere(states_path: str) -> None:
-    episodes, only = EpisodeBatch(bounded(states_path, tow_limit=None)), np.array([0])
-    episodes.begin(only, [0])
-    for _ in range(8):
-        _, _, truncated = episodes.act(TOW[None], only)
-        assert not truncated[0]
-    assert TowBound(episodes.centre, LIMIT).exceeded(episodes.simulation.points)[0]
-    assert episodes.tow_bound(0) is None
 
 
 def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:

@@ -1,12 +1,11 @@
 import numpy as np
-import pytest
 
 from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.planning.pulls import _drawn_index, guide_to
 from knotgym.control.planning.sights import Sight
 from knotgym.rope import Array
-from knotgym.topology import GaussCode, images
+from knotgym.topology import GaussCode
 
 FLAT, GOAL = GaussCode(), GaussCode.parse("1+,1-,2+,2-")
 KINK, THREE = GaussCode.parse("1+c,1-c"), GaussCode.parse("1+c,1-c,2+a,2-a,3+c,3-c")
@@ -17,16 +16,6 @@ def test_codes_on_the_way_to_the_goal_are_nearer() -> None:
     far = [guide.distance(code) for code in (GaussCode(GOAL.visits, "ca"), KINK, FLAT)]
     assert far[0] == 0 and far == sorted(far) and len({*far}) == 3
     assert guide.hops(KINK) in (1, 2) and 0 < guide.distance(THREE) < guide.distance(FLAT)
-
-
-@pytest.mark.parametrize("image", range(8))
-def test_images_of_a_code_and_goal_are_equally_far(image: int) -> None:
-    here, there = (
-        guide_to(GOAL, PassValues.of_split()),
-        guide_to(images(GOAL)[image], PassValues.of_split()),
-    )
-    assert here.distance(KINK) == there.distance(images(KINK)[image])
-    assert here.hops(THREE) == there.hops(images(THREE)[image])
 
 
 def test_where_no_way_is_known_crossings_count() -> None:

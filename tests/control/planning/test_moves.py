@@ -61,13 +61,6 @@ def test_chances_are_those_of_brute_force(seed: int) -> None:
         assert found[index] == pytest.approx(values[node], abs=1e-12)
 
 
-def test_image_k_of_a_node_stands_k_apart_by_xor() -> None:
-    table = random_table(0)
-    for index, node in enumerate(table.nodes[:200]):
-        for k in range(IMAGES):
-            assert table.nodes[index ^ k] == node.image(k)
-
-
 @pytest.mark.parametrize("kind", [AT, ALONG])
 def test_a_template_s_image_twice_is_the_template(kind: int) -> None:
     one = PassTemplate(kind, 230, 470 if kind == AT else -14, 1)

@@ -8,11 +8,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.banded import backward, factor, forward
-from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
-from knotgym.rope.chain.dynamics import assemble, set_lengths
+from knotgym.rope.chain.chain_simulation import physics_of
+from knotgym.rope.chain.dynamics import assemble
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.simd import LANES
-from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.model import Rope
 
 Array = NDArray[np.float64]
 N = 100
@@ -104,27 +104,3 @@ def test_a_substep_solves_the_equations_of_motion(rope: Rope) -> None:
         found = np.concatenate([right[N:, :3, lane], right[1:N, :3, lane]])
         assert np.abs(found - told).max() < 1e-8 * np.abs(told).max()
         assert np.abs(right[:N, 3, lane] - told_spin).max() < 1e-8 * np.abs(told_spin).max()
-
-
-def test_edges_get_their_length_by_small_moves(rope: Rope) -> None:
-    rng = np.random.default_rng(1)
-    points = np.repeat(rope.loop()[:, :, None], LANES, axis=2)
-    points += rng.normal(0, 3e-4, points.shape)
-    moved = points.copy()
-    njit(set_lengths.py_func)(moved, rope.config.bead_length, 3)
-    lengths = np.linalg.norm(np.roll(moved, -1, axis=0) - moved, axis=1)
-    assert np.abs(lengths / rope.config.bead_length - 1).max() < 1e-7
-    assert np.abs(moved - points).max() < 1.5e-3
-
-
-@pytest.mark.parametrize("parts", [4, 12])
-def test_more_substeps_change_little(rope: Rope, parts: int) -> None:
-    """An action is converged to a fraction of what beads move: the same as many short ones."""
-    short = RopeConfig(frame_skip=rope.config.frame_skip // parts)
-    chains = [ChainSimulation(1, rope), ChainSimulation(1, Rope(short))]
-    for chain, actions in zip(chains, (3, 3 * parts), strict=True):
-        for _ in range(actions):
-            chain.step([10], np.array([[0.2, -0.1, 0.15]]))
-    one, other = (chain.points for chain in chains)
-    assert np.linalg.norm(one - other, axis=2).mean() < 1e-3
-    assert np.linalg.norm(one - rope.loop(), axis=2).mean() > 0.02
