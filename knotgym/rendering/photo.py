@@ -5,8 +5,8 @@ a person can decide every crossing (`LIMITS`); `take` makes the same picture aga
 and the appearance. The camera is orthographic. From `tilted` on, points are in its axes: x right, y
 up, z towards the camera. The Gauss code, the crossings and all answers are what it sees.
 
-After a change run `pytest tests/rendering/test_photo.py`, and the same file as a script with a
-count of photos: no answer may differ from those of an outside computation.
+After a change run `PHOTOS=2000 pytest tests/rendering/test_photo.py`: no answer may differ from
+those of an outside computation.
 """
 
 import math

@@ -10,7 +10,6 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +18,7 @@ import pytest
 import knotgym
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import MinariMetadata, open_episodes, publish
-from knotgym.envs import KnotEnv, TaskConfig
+from knotgym.envs import TaskConfig
 from knotgym.loaders import arrays, to_d3rlpy, torch_dataset
 from knotgym.play import Recorder, Session
 
@@ -147,22 +146,6 @@ def test_torch_reads_a_hand_played_dataset_that_replays_bit_for_bit(played_room:
 
 
 @pytest.mark.clients
-@pytest.mark.parametrize("numeric", [True, False])
-def test_torchrl_steps_as_the_environment_does(numeric: bool) -> None:
-    envs = pytest.importorskip("torchrl.envs")
-    settings: dict[str, Any] = {"nx": 2, "observation": "state", "numeric_infos": numeric}
-    theirs = envs.GymEnv("knotgym/Tie-v0", **settings)
-    theirs.set_seed(3)
-    rollout = theirs.rollout(4)
-    env = KnotEnv("tie", **settings)
-    env.reset(seed=3)
-    rows = [env.reset()[0]]  # TorchRL's set_seed resets once, its rollout again
-    rows += [env.step(action)[0] for action in rollout["action"].numpy()]
-    assert np.array_equal(rollout["observation"].numpy(), np.array(rows[:-1]))
-    assert np.array_equal(rollout["next", "observation"].numpy(), np.array(rows[1:]))
-
-
-@pytest.mark.clients
 def test_torchrl_reads_last_infos_of_the_batch() -> None:
     envs = pytest.importorskip("torchrl.envs")
     batch = gym.make_vec(
@@ -176,30 +159,3 @@ def test_torchrl_reads_last_infos_of_the_batch() -> None:
     rollout = envs.GymWrapper(batch).rollout(6, break_when_any_done=False)
     assert rollout["next", "truncated"].sum() == 3
     assert rollout["next", "goal_gauss_code"].shape == (3, 6, 64)
-
-
-@pytest.mark.clients
-def test_torchrls_reader_of_minari_files_takes_them(
-    room: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data = pytest.importorskip("torchrl.data.datasets")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(room / "minari"))
-    held = data.MinariExperienceReplay(
-        ID, batch_size=2, root=room / "torchrl", load_from_local_minari=True
-    )
-    lengths = open_episodes(room / "minari" / ID).episodes.episodes["length"]
-    assert len(held) == lengths.sum()
-
-
-@pytest.mark.clients
-def test_tianshou_steps_as_the_environment_does() -> None:
-    vector = pytest.importorskip("tianshou.env")
-    settings: dict[str, Any] = {"nx": 2, "layout": "stacked", "image_size": 16}
-    envs = vector.DummyVectorEnv([lambda: gym.make("knotgym/Tie-v0", **settings)] * 2)
-    env, rng = KnotEnv("tie", **settings), np.random.default_rng(0)
-    assert len(envs) == 2
-    seen, right = envs.reset(seed=3)[0], env.reset(seed=3)[0]
-    for _ in range(3):
-        assert np.array_equal(seen[0], right) and seen[0].shape == (16, 16, 6)
-        actions = rng.uniform(-1, 1, (2, 6)).astype(np.float32)
-        seen, right = envs.step(actions)[0], env.step(actions[0])[0]
