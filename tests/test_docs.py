@@ -303,7 +303,7 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
         "generate.recordings",
         "generate.entries",
         "control.planning.moves",
-        "learn.policy_family",
+        "learn.card",
     )
     for module in map(vars, (importlib.import_module(f"knotgym.{name}") for name in written)):
         version = module.get("FORMAT_VERSION", module.get("VERSION", 1))
