@@ -17,7 +17,9 @@ from knotgym.adapters import goal_env, sb3_vec_env
 from knotgym.common import KnotgymError
 from knotgym.control import PolicyConfig, PolicyFamily, make_policy, register_policy
 from knotgym.datasets import open_episodes, read_table, select
+from knotgym.drawing import drawn_curve
 from knotgym.envs import KnotEnv, KnotVectorEnv, TaskConfig
+from knotgym.learn import CloneConfig
 from knotgym.loaders import (
     GoalSampling,
     Sequences,
@@ -33,10 +35,14 @@ from knotgym.loaders import (
 from knotgym.rendering import draw, draw_diagram
 from knotgym.rope import RopeConfig
 from knotgym.runs import executor
+from knotgym.topology import GaussCode
 
 DATA = TINY["expert"]
 STEPS: dict[str, Any] = {"steps": 3}
-GOALS, RNG = Window(goals=GoalSampling()), np.random.default_rng(0)
+GOALS, CHUNKS, RNG = Window(goals=GoalSampling()), Window(chunk=2), np.random.default_rng(0)
+STATE: dict[str, Any] = {"observation": "state"}
+CANONICAL: dict[str, Any] = {**STATE, "frame": "canonical"}
+KINKS = GaussCode(tuple(sign * k for k in range(1, 18) for sign in (1, -1)))
 BEADS = TaskConfig(task="tie", action="bead", endless=True)
 
 
@@ -48,8 +54,8 @@ def many(**settings: Any) -> Any:
     return KnotVectorEnv("tie", 3, **settings)
 
 
-def started() -> Any:
-    env = make(observation="state", engine="chain")
+def started(**settings: Any) -> Any:
+    env = make(observation="state", engine="chain", **settings)
     env.reset(seed=0)
     return env
 
@@ -60,6 +66,16 @@ def batch(rows: Any, **opening: Any) -> Any:
 
 def rope(**settings: Any) -> Any:
     return RopeConfig(**settings)
+
+
+def clone(**settings: Any) -> Any:
+    return CloneConfig(**settings)
+
+
+def twice(reading: dict[str, Any] = STATE, without: str = "", **more: Any) -> Any:
+    """Multiply a set that lacks a name, or has more."""
+    batch = {name: column for name, column in arrays(DATA, **reading).items() if name != without}
+    return multiplied(batch | more, 2, RNG)
 
 
 def register(name: str) -> None:
@@ -94,11 +110,21 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: started().reset(options={"begin": 3}), "no reset option 'begin'; use start or goal"),
     (lambda: started().step(np.full(6, 2.0)), "(x, y, z, fx, fy, fz), got [2.0"),
     (lambda: started().step([0, 0, 0]), "an action is 6 numbers in [-1, 1] (x, y, z"),
+    (lambda: started(action="bead").step([100, 0, 0, 0]), "whole numbers below"),
+    (lambda: started(action="bead").step([0.5, 0, 0, 0]), "whole numbers below"),
+    (lambda: started(action="macro").step([0, -1, 0]), "whole numbers below"),
+    (lambda: started(action="macro").step([np.nan, 0, 0]), "whole numbers below"),
+    (lambda: started(action="macro").step([0.0] * 6), "is 3 whole numbers"),
     (lambda: make().unwrapped.step(np.zeros(6)), "reset the environment before its first step"),
     (lambda: gym.make_vec("knotgym/Tie-v0", num_envs=0), "num_envs must be at least 1, got 0"),
     (lambda: many(autoreset_mode="never"), "no autoreset_mode 'never'; there is next_step, same"),
     (lambda: many().reset(seed=[1, 2]), "one for each of 3 ropes, got 2"),
     (lambda: many().reset(options={"reset_mask": np.array([1, 0, 1])}), "must be 3 booleans"),
+    (lambda: make(rope={"damping": 0.1}), "rope may set density, joint_damping, length, "),
+    (lambda: make(rope={"beads": 50}), "got 'beads'"),
+    (lambda: make(rope={"joint_damping": -1.0}), "joint_damping must be at least 0"),
+    (lambda: make(rope={"joint_damping": "soft"}), "must be a number"),
+    (lambda: make(rope={"radius": 0.004}), "this version of rope = {'radius': 0.004}"),
     (lambda: rope(beads=100.0), "beads"),
     (lambda: rope(sub_chains=1), "sub-chains"),
     (lambda: rope(radius=0.02), "bead"),
@@ -111,6 +137,10 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: draw(np.eye(3)[[[0, 1, 1, 2]]]), "point 1 and the next are on one spot"),
     (lambda: draw_diagram(np.zeros((9, 3))), "point 0 and the next are on one spot"),
     (lambda: knotgym.register_task("tie", lambda nx: (0, nx)), "a new lower-case word, got 'tie'"),
+    (lambda: goal_env("tie", hold=2), "hold must be 1 and failure_reward 0, got 2 and 0.0"),
+    (lambda: goal_env("tie", failure_reward=-5.0), "failure_reward 0, got 1 and -5.0"),
+    (lambda: goal_env("tie", observation="both"), "needs observation 'pixels', 'state' or 's"),
+    (lambda: goal_env("tie", layout="stacked"), "layout 'beside'; got 'pixels' and 'stacked'"),
     (lambda: goal_env("tie", goals=3), "unexpected keyword argument 'goals'; there is nx, split"),
     (lambda: open_episodes("nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),
     (lambda: arrays(3), "a dataset is an id, a folder or a file, got 3"),
@@ -125,6 +155,17 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: Transitions(DATA).sample_goals([0], RNG), "no goals to sample"),
     (lambda: Sequences(DATA, 0), "length must be at least 1, got 0"),
     (lambda: multiplied(arrays(DATA), 0, np.random.default_rng(0)), "multiplied at least once"),
+    (lambda: twice(without="actions"), "a batch to transform has actions"),
+    (lambda: twice(without="observations"), "a batch to transform has observations"),
+    (lambda: twice(mine=np.zeros(3)), "no symmetry is known for 'mine'"),
+    (lambda: twice({"observation": "marked"}), "marked ones are alike"),
+    (lambda: twice({"observation": "pixels"}), "of_pictures=True"),
+    (lambda: twice({**STATE, "action": "bead"}), "of_pictures=True"),
+    (lambda: batch([0], frame="rope"), "no frame 'rope'; there is world, canonical"),
+    (lambda: batch([0], frame="canonical"), 'goes with observation "state" or "mark'),
+    (lambda: batch([0], action="bead", **CANONICAL), "got 'state' and 'bead'"),
+    (lambda: batch([0], action="decision", window=CHUNKS), "leave out chunk and history"),
+    (lambda: batch([0], action="decision", labels=True), "use labels without action 'decision'"),
     (lambda: batch([0], action="fly"), "no action 'fly'"),
     (lambda: batch([0], relabel="first"), "'last' or 'all'"),
     (lambda: batch([0], labels=True), "no expert actions"),
@@ -135,6 +176,8 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: draw(np.zeros((2, 3))), "at least 3 beads, got (2, 3)"),
     (lambda: draw(np.full((10, 3), np.nan)), "finite"),
     (lambda: draw_diagram(np.full((10, 3), np.nan)), "finite"),
+    (lambda: drawn_curve(GaussCode.parse("1+,2-,1-,2+"), RNG), "1+,2-,1-,2+"),
+    (lambda: drawn_curve(KINKS, RNG), "16 crossings at most, got a code with 17"),
     (lambda: PolicyConfig(shares=(1.0,)), "shares"),
     (lambda: PolicyConfig(shares=(0.0, 0.0, 0.0, 0.0)), "shares"),
     (lambda: policy("genius"), "use random, "),
@@ -144,6 +187,11 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: policy("play").compatible_task(BEADS), "action must be 'pull'"),
     (lambda: register("expert"), "expert"),
     (lambda: register("module:function"), "module:function"),
+    (lambda: clone(width=18), "multiple of 4"),
+    (lambda: clone(split="test"), "split must be 'train' or 'train-code'"),
+    (lambda: clone(hindsight=1), "no field 'hindsight'"),
+    (lambda: clone(copies=21), "copies"),
+    (lambda: clone(device="tpu"), "device must be 'cpu' or 'cuda'"),
     (lambda: images("nope", kind="jax"), "kind must be one of torch, huggingface, got 'jax'"),
 ]
 

@@ -65,25 +65,6 @@ def test_the_rope_is_seen_alone(states_path: str, observation: str) -> None:
     assert seen["desired_goal"][0] == 1 and seen["achieved_goal"].tolist() == [0] * 65
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"hold": 2}, "hold must be 1 and failure_reward 0, got 2 and 0.0"),
-        ({"failure_reward": -5.0}, "failure_reward 0, got 1 and -5.0"),
-        ({"observation": "both"}, "needs observation 'pixels', 'state' or 'symbolic'"),
-        (
-            {"observation": "pixels", "layout": "stacked"},
-            "layout 'beside'; got 'pixels' and 'stack",
-        ),
-    ],
-)
-def test_settings_that_a_changed_goal_gives_no_meaning_are_refused(
-    states_path: str, settings: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(InvalidInput, match=message):
-        goal_env("tie", states=states_path, **settings)
-
-
 def test_ogbench_gets_goal_success_and_five_tasks(states_path: str) -> None:
     env: Any = gym.make("knotgym/visual-unknot-nx2-v0", states=states_path, image_size=16)
     assert isinstance(env.unwrapped, OGBenchEnv) and env.unwrapped.config.split == "test"

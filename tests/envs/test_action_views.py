@@ -124,26 +124,6 @@ def test_ropes_of_a_vector_environment_act_as_single_ones(view: str, task: TaskC
             ended[number] = terminated or truncated
 
 
-@pytest.mark.parametrize(
-    "view, action, told",
-    [
-        ("bead", [100, 0, 0, 0], "whole numbers below"),
-        ("bead", [0.5, 0, 0, 0], "whole numbers below"),
-        ("macro", [0, -1, 0], "whole numbers below"),
-        ("macro", [np.nan, 0, 0], "whole numbers below"),
-        ("macro", [0.0] * 6, "is 3 whole numbers"),
-    ],
-)
-def test_an_invalid_action_leaves_the_rope_alone(
-    view: str, action: list[float], told: str, task: TaskConfig
-) -> None:
-    env = KnotEnv("tie", **settings(task, action=view))
-    before, _ = env.reset(seed=0)
-    with pytest.raises(InvalidInput, match=told):
-        env.step(np.array(action))
-    assert np.array_equal(env.episodes.observation(0), before) and env.episodes.steps[0] == 0
-
-
 def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:
     pull, bead, macro = (arrays(played, action=view) for view in ("pull", *VIEWS))
     assert np.array_equal(arrays(played)["actions"], macro["actions"])  # the environment's view

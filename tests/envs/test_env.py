@@ -525,18 +525,3 @@ def test_a_user_sets_parameters_of_the_rope() -> None:
         for name, value in (rope or {}).items():
             assert getattr(env.episodes.simulation.rope.config, name) == value
     assert len({one.tobytes() for one in ends}) == 3
-
-
-@pytest.mark.parametrize(
-    ("rope", "message"),
-    [
-        ({"damping": 0.1}, "rope may set density, joint_damping, length, .*; got 'damping'"),
-        ({"beads": 50}, "got 'beads'"),
-        ({"joint_damping": -1.0}, "joint_damping must be at least 0"),
-        ({"joint_damping": "soft"}, "rope.* must be a number"),
-        ({"radius": 0.004}, "was made for rope model .*, this version of rope = {'radius': 0.004}"),
-    ],
-)
-def test_a_rope_that_states_do_not_fit_is_refused(rope: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidInput, match=message):
-        KnotEnv("tie", rope=rope, **SHORT)

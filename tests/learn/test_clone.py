@@ -14,7 +14,6 @@ from knotgym.common import InvalidInput, InvalidPolicy, Stream
 from knotgym.control import PassValues, PolicyConfig, Sight, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
-from knotgym.learn.train_config import CloneConfig
 from knotgym.rope import ChainSimulation, WaypointFollower
 from knotgym.states import States
 from knotgym.topology import GaussCode, label_many
@@ -136,15 +135,3 @@ def test_a_device_that_is_not_there_is_refused_before_any_work(
     with pytest.raises(InvalidInput, match="needs a GPU"):
         train([], tmp_path / "none", replace(CLONE, demonstrations=1, device="cuda"))
     assert not any(tmp_path.iterdir())
-
-
-def test_settings_that_do_not_fit_are_one_line() -> None:
-    for changes, message in (
-        ({"width": 18}, "multiple of 4"),
-        ({"split": "test"}, "split must be 'train' or 'train-code'"),
-        ({"hindsight": 1}, "no field 'hindsight'"),
-        ({"copies": 21}, "copies"),
-        ({"device": "tpu"}, "device must be 'cpu' or 'cuda'"),
-    ):
-        with pytest.raises(InvalidInput, match=message):
-            CloneConfig(**changes)

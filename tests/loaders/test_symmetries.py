@@ -1,14 +1,11 @@
 """Tests of the symmetries of batches: what an image says is what the moved rope does."""
 
-from typing import Any
-
 import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
-from knotgym.common import InvalidInput
 from knotgym.loaders import arrays
 from knotgym.loaders.symmetries import Symmetries, multiplied
 from knotgym.rope import CHAIN, MUJOCO, Rope
@@ -119,28 +116,3 @@ def test_a_set_is_multiplied_and_strong_pulls_are_dropped() -> None:
     assert 0 < len(larger["actions"]) < 40 * count and np.abs(larger["actions"]).max() <= 1 + 1e-6
     same = multiplied(batch, 3, np.random.default_rng(5), of_pictures=True)
     assert len(same["actions"]) == 3 * count
-
-
-def without(name: str) -> dict[str, Any]:
-    batch = arrays(TINY["random"], observation="state")
-    del batch[name]
-    return batch
-
-
-@pytest.mark.parametrize(
-    ("batch", "says"),
-    [
-        (lambda: without("actions"), "a batch to transform has actions"),
-        (lambda: without("observations"), "a batch to transform has observations"),
-        (lambda: without("rewards") | {"mine": np.zeros(3)}, "no symmetry is known for 'mine'"),
-        (lambda: arrays(TINY["random"], observation="marked"), "marked ones are alike"),
-        (lambda: arrays(TINY["random"], observation="pixels"), "of_pictures=True"),
-        (lambda: arrays(TINY["random"], observation="state", action="bead"), "of_pictures=True"),
-    ],
-)
-def test_what_has_no_images_is_one_line(batch: Any, says: str) -> None:
-    made = batch()
-    count = len(made.get("actions", made.get("observations")))
-    drawn = Symmetries.drawn(count, np.random.default_rng(6))
-    with pytest.raises(InvalidInput, match=says):
-        drawn.applied(made)

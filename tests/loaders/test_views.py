@@ -14,7 +14,7 @@ from knotgym.common import InvalidInput, InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes, open_episodes
 from knotgym.envs import Observer, TaskConfig
-from knotgym.loaders import Transitions, Window, arrays, as_policy
+from knotgym.loaders import Transitions, arrays, as_policy
 from knotgym.topology import Symmetry, label
 
 VIEWS = [("state", "canonical"), ("state", "world"), ("marked", "canonical"), ("marked", "world")]
@@ -129,21 +129,6 @@ def test_the_canonical_frame_shows_all_images_of_a_state_alike() -> None:
         )
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-6)
     np.testing.assert_allclose(seen[2], seen[0], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ({"frame": "rope"}, "no frame 'rope'; there is world, canonical"),
-        ({"frame": "canonical", "observation": "pixels"}, 'goes with observation "state" or "mark'),
-        ({"frame": "canonical", "action": "bead"}, "got 'state' and 'bead'"),
-        ({"action": "decision", "window": Window(chunk=2)}, "leave out chunk and history"),
-        ({"action": "decision", "labels": True}, "use labels without action 'decision'"),
-    ],
-)
-def test_views_that_do_not_go_together_are_refused(words: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidInput, match=message):
-        Transitions(TINY["expert"], **{"observation": "state", **words})
 
 
 def test_what_is_no_model_or_acts_wrongly_is_one_line(played_back: Any) -> None:

@@ -16,14 +16,14 @@ from pydantic import NonNegativeFloat
 
 from knotgym.common import InvalidInput, configuration
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.closed_curves import _add_solution, clearance
+from knotgym.rope.closed_curves import _add_solution
 from knotgym.rope.interface import Simulation
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import label
 
-from ..conftest import curled, trefoil
+from ..conftest import trefoil
 
 ROPE = Rope()  # hypothesis tests cannot take function-scoped fixtures
 BEAD = RopeConfig().bead_length
@@ -126,24 +126,17 @@ def test_loop_is_the_reference_pose_a_flat_ring_of_equal_beads(rope: Rope) -> No
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-def test_trefoil_comes_in_at_any_scale(rope: Rope, scale: float) -> None:
+def test_trefoil_comes_in_at_any_scale_and_stays_on_its_curve(rope: Rope, scale: float) -> None:
     points = rope.from_curve(scale * trefoil() + 5 * scale)
     assert label(points).nx == 3
     assert np.abs(chords(points) - BEAD).max() < 1e-9
     assert np.abs(points.mean(axis=0)).max() < 1e-9
     assert np.abs(points - rope.from_curve(trefoil())).max() < 1e-6
-
-
-def test_trefoil_stays_on_its_curve(rope: Rope) -> None:
-    fine = trefoil()
-    fine *= rope.config.length / chords(fine).sum()
-    off = np.linalg.norm(rope.from_curve(fine)[:, None] - fine[None], axis=2).min(axis=1)
-    assert off.max() < 0.003
-
-
-def test_a_curve_starts_at_its_first_point_and_keeps_its_direction(rope: Rope) -> None:
-    points = rope.from_curve(3 * np.roll(rope.loop(), -25, axis=0))
-    assert np.abs(points - np.roll(rope.loop(), -25, axis=0)).max() < 1e-9
+    # it stays on its curve, from its first point on and in its direction
+    fine = trefoil() * rope.config.length / chords(trefoil()).sum()
+    off = np.linalg.norm(points[:, None] - fine[None], axis=2)
+    assert off.min(axis=1).max() < 0.003 and off[0].argmin() == 0
+    assert (np.diff(off.argmin(axis=1)) > 0).all()
 
 
 def test_repeating_points_changes_nothing(rope: Rope) -> None:
@@ -185,15 +178,6 @@ def test_what_is_no_rope_is_refused_in_one_line(
     with pytest.raises(InvalidInput, match=message) as caught:
         rope.from_curve(curve)
     assert "\n" not in str(caught.value)
-
-
-def test_clearance_is_the_smallest_distance_between_beads_apart() -> None:
-    rope = Rope()
-    points = rope.from_curve(curled(1))
-    lifted = points + 0.02 * np.array([0, 0, 1])
-    assert clearance(points, 1.0) == pytest.approx(clearance(lifted, 1.0))
-    cross = np.array([[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0.3], [0, -2, 0.3], [-1, -2, 0]])
-    assert clearance(cross, 1.0) == pytest.approx(0.3)
 
 
 def test_equations_are_solved_with_the_same_bits_on_every_processor() -> None:
