@@ -295,44 +295,47 @@ def test_plain_loops_that_the_file_lacks_are_those_that_ship(
     assert [side.origin for side in shipped] == ["shipped", "shipped"]
 
 
-@pytest.mark.parametrize(
-    ("task", "nx", "lacks"), [("unknot", 2, 2), ("tie", 6, 6), ("convert", 3, 2)]
-)
-def test_other_crossings_that_the_file_lacks_are_refused_with_what_it_has(
-    make: Make, only_nx3: str, task: str, nx: int, lacks: int
+def test_states_that_do_not_fit_are_refused_in_one_line_with_what_the_file_has(
+    make: Make, states: States, states_path: str, only_nx3: str, tmp_path: Path
 ) -> None:
-    right = f"nx = {lacks} in split 'train' of .*nx3.h5, .* nx = {nx}; it has nx 3 .train, test. "
-    right += f"of 0_1. Generate some: knotgym-generate --nx {lacks}$"
-    with pytest.raises(InvalidInput, match=right) as caught:
-        make(task, nx=nx, states=only_nx3)
-    assert "\n" not in str(caught.value)
+    def file(name: str, kept: States) -> str:
+        write_states(tmp_path / name, kept)
+        return str(tmp_path / name)
 
-
-def test_a_split_that_the_file_lacks_is_refused_plain_loops_too(
-    make: Make, states: States, tmp_path: Path
-) -> None:
-    write_states(tmp_path / "train.h5", states.take(np.flatnonzero(states.split == "train")))
-    with pytest.raises(InvalidInput, match="nx = 0 in split 'test' .* it has nx 0 .train., 1"):
-        make("tie", nx=2, split="test", states=str(tmp_path / "train.h5"))
-
-
-def test_the_folder_of_a_run_names_its_states(make: Make, states_path: str, tmp_path: Path) -> None:
-    (tmp_path / "states.h5").write_bytes(Path(states_path).read_bytes())
-    assert task_sides(make(states=str(tmp_path)).config)[0][0].origin == "own"
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingFile, match="no .* file at .*empty"):
-        make(states=str(tmp_path / "empty"))
-
-
-def test_states_of_another_rope_are_refused_in_one_line(
-    make: Make, states: States, tmp_path: Path
-) -> None:
-    write_states(tmp_path / "other.h5", replace(states, attributes={"rope": "0123456789abcdef"}))
-    with pytest.raises(
-        InvalidInput, match="made for rope model 0123456789abcdef, this version has "
-    ) as caught:
-        make(states=str(tmp_path / "other.h5"))
-    assert "\n" not in str(caught.value)
+    loopless = file("s.h5", states.take(np.flatnonzero(states.nx > 0)))
+    train = file("train.h5", states.take(np.flatnonzero(states.split == "train")))
+    other = file("other.h5", replace(states, attributes={"rope": "0123456789abcdef"}))
+    missing = (
+        "nx = {0} in split 'train' of .*nx3.h5, .* nx = {1}; it has nx 3 .train, test. of 0_1. "
+    )
+    missing += " 0_1. Generate some: knotgym-generate --nx {0}$"
+    wrong: list[tuple[Any, dict[str, Any], str]] = [
+        ("unknot", {"nx": 2, "states": only_nx3}, missing.format(2, 2)),
+        ("tie", {"nx": 6, "states": only_nx3}, missing.format(6, 6)),
+        ("convert", {"nx": 3, "states": only_nx3}, missing.format(2, 3)),
+        (
+            "tie",
+            {"nx": 2, "split": "test", "states": train},
+            "nx = 0 in split 'test' .* it has nx 0 .train., 1",
+        ),
+        ("tie", {"states": other}, "made for rope model 0123456789abcdef, this version has "),
+        (
+            ["tie", "convert"],
+            {"nx": 2, "states": loopless},
+            "has no plain loops, which several tasks at once need",
+        ),
+    ]
+    make("tie", nx=(2, 3), states=loopless)
+    for task, settings, says in wrong:
+        with pytest.raises(InvalidInput, match=says) as caught:
+            make(task, **settings)
+        assert "\n" not in str(caught.value)
+    # the folder of a run names its states
+    (tmp_path / "run").mkdir()
+    with pytest.raises(MissingFile, match="no .* file at .*run"):
+        make(states=str(tmp_path / "run"))
+    (tmp_path / "run" / "states.h5").write_bytes(Path(states_path).read_bytes())
+    assert task_sides(make(states=str(tmp_path / "run")).config)[0][0].origin == "own"
 
 
 def test_numeric_infos_say_the_same_in_integers(make: Make) -> None:
@@ -450,15 +453,6 @@ def test_an_environment_of_several_tasks_draws_one_at_each_reset(make: Make) -> 
     assert drawn == {(0, 2), (0, 3), (1, 2), (2, 3)}
     with pytest.raises(InvalidInput, match="goal must be a row with nx = 2, 3 of the train split"):
         env.reset(options={"goal": rows["start"] + 10**6})
-
-
-def test_a_file_without_loops_is_refused_where_only_some_tasks_need_them(
-    make: Make, states: States, tmp_path: Path
-) -> None:
-    write_states(tmp_path / "s.h5", states.take(np.flatnonzero(states.nx > 0)))
-    make("tie", nx=(2, 3), states=str(tmp_path / "s.h5"))
-    with pytest.raises(InvalidInput, match="has no plain loops, which several tasks at once need"):
-        make(("tie", "convert"), nx=2, states=str(tmp_path / "s.h5"))
 
 
 def test_a_registered_task_is_played_as_its_crossings_say() -> None:
