@@ -65,11 +65,11 @@ def application() -> App:
         version=f"knotgym {__version__}",
     )
     for name, summary in COMMANDS.items():
-        app.command(f"{module_of(name)}:{name}", name=name, help=summary)
+        app.command(f"{_module_of(name)}:{name}", name=name, help=summary)
     return app
 
 
-def module_of(command: str) -> str:
+def _module_of(command: str) -> str:
     """Return the module of a command."""
     return f"knotgym.cli.{_BESIDE.get(command, command)}_command"
 

@@ -30,7 +30,7 @@ from knotgym.generate.state_rows import (
     without_report,
 )
 from knotgym.quality import measure
-from knotgym.rope import Array, Simulation, simulation_of
+from knotgym.rope import Array, RopeConfig, Simulation, simulation_of
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import STATE_SPLITS, families
 from knotgym.topology import (
@@ -320,7 +320,7 @@ def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Result:
         The rows, and as report a list with an entry for each order: its nx and index, the number of
         drawings, and reason -> number of rejected ones.
     """
-    simulation = simulation_of(1, config.rope, config.engine_used)
+    simulation = simulation_of(1, RopeConfig.of(config.beads), config.engine_used)
     rows, drawn = list[dict[str, Any]](), []
     for order in orders:
         selection, number = Selection([order.kept]), order.first

@@ -6,7 +6,7 @@ The command line reads it first, so nothing here imports the simulator.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
@@ -27,9 +27,6 @@ from knotgym.topology import (
     type_of,
     with_chirality,
 )
-
-if TYPE_CHECKING:
-    from knotgym.rope import RopeConfig
 
 _BEADS = 100  # of the rope that demonstrations are made with
 # Settings that states taken from ropes need.
@@ -191,13 +188,6 @@ class GenerateConfig:
                 raise InvalidInput(
                     f"the code {str(code)!r} shows the knot {seen}, not {self.knot}{other_hand}"
                 )
-
-    @property
-    def rope(self) -> RopeConfig:
-        """The rope."""
-        from knotgym.rope import RopeConfig
-
-        return RopeConfig.of(self.beads)
 
     @property
     def engine_used(self) -> str:

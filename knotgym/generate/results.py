@@ -65,7 +65,7 @@ class Result:
     simulation_failures: NonNegativeInt
     start_states: str
     goal_states: str
-    outcomes: dict[str, list[Annotated[int, Field(ge=0, lt=2**31)]]]
+    outcomes: dict[str, tuple[Annotated[int, Field(ge=0, lt=2**31)], ...]]
 
     def __post_init__(self) -> None:
         lengths = {len(self.outcomes.get(name, ())) for name in _OUTCOMES}
@@ -84,7 +84,7 @@ class Result:
         """
         success, length = played["success"], played["length"]
         named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
-        listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
+        listed = {name: (*played[of].astype(np.int64).tolist(),) for name, of in named.items()}
         low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
         (starts, goals), *_ = task_sides(task)
         return cls(

@@ -244,12 +244,19 @@ class PicturePlayer:
 class PicturePolicy:
     """Chooses actions from the pictures of its episodes.
 
+    Args:
+        folder: of a checkpoint, or "pretrained", which ships with the package.
+
     Attributes:
         name: of the policy.
+
+    Raises:
+        InvalidFile: there is no checkpoint that this version can read.
     """
 
-    def __init__(self, learned: Learned, name: str) -> None:
-        self.name, self._learned = name, learned
+    def __init__(self, folder: str) -> None:
+        self.name = PRETRAINED if folder == PRETRAINED else "learned"
+        self._learned = load_reader(folder)
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
         """Return the task; raise InvalidPolicy if the reader can't read its pictures."""
@@ -285,12 +292,3 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Tas
             f"policy {policy} can't act in this task, which has {', '.join(differing)}"
         )
     return task
-
-
-def load_picture_policy(folder: str) -> PicturePolicy:
-    """Load the policy of a checkpoint folder, or "pretrained", which ships with the package.
-
-    Raises:
-        InvalidFile: there is no checkpoint that this version can read.
-    """
-    return PicturePolicy(load_reader(folder), PRETRAINED if folder == PRETRAINED else "learned")

@@ -153,7 +153,7 @@ class CloneNetwork(nn.Module):
         apart = (torch.arange(BEADS, device=beads.device) - beads[..., None]) % BEADS
         return logits + self.apart(apart)[..., 0]
 
-    def sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+    def _sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits (n, k, 2) of passing under and over, and logits that either works."""
         # the product of both beads' features tells what neither alone does: how the two lie to each
         # other
@@ -172,7 +172,7 @@ class CloneNetwork(nn.Module):
         """
         seen = self(states)
         beads, targets, sides = macros.unbind(1)
-        side, works = self.sides(seen, beads[:, None], targets[:, None])
+        side, works = self._sides(seen, beads[:, None], targets[:, None])
         strand = self._targets(seen, beads[:, None])[:, 0]
         chosen = torch.stack(
             [
@@ -209,7 +209,7 @@ class CloneNetwork(nn.Module):
         beads, targets, sides = macros.unbind(2)
         chosen = functional.log_softmax(seen.logits, 1).gather(1, beads)
         strands = functional.log_softmax(self._targets(seen, beads), 2)
-        side, works = self.sides(seen, beads, targets)
+        side, works = self._sides(seen, beads, targets)
         # log p(bead) + log p(strand | bead) + log p(side | both)
         for logs, index in ((strands, targets), (functional.log_softmax(side, 2), sides)):
             chosen = chosen + logs.gather(2, index[..., None])[..., 0]

@@ -115,8 +115,7 @@ class _ClonePlayer(ActionPlayer):
         self._codes |= dict(zip(indices, codes, strict=True))
         rngs = [self.rngs[k] for k in indices]
         temperatures = np.where(stuck, _ESCAPE, 0.0)
-        macros = choose_macros(self._network, points, goals, temperatures, rngs, self._values)
-        macros[:, 2] = macros[:, 2] > 0  # the view has 0 for under, 1 for over
+        macros = _choose_macros(self._network, points, goals, temperatures, rngs, self._values)
         return macros.astype(np.float32)
 
     def _read(self, index: int) -> tuple[Array, GaussCode]:
@@ -130,7 +129,7 @@ class _ClonePlayer(ActionPlayer):
         return rope, max(left, key=lambda code: goals[code])
 
 
-def choose_macros(
+def _choose_macros(
     network: CloneNetwork,
     points: Array,
     goals: Sequence[GaussCode],
@@ -138,7 +137,7 @@ def choose_macros(
     rngs: Sequence[np.random.Generator],
     values: PassValues | None = None,
 ) -> NDArray[np.int64]:
-    """Choose macro-actions, int64 (n, 3): bead, target, side (+1 over, -1 under).
+    """Choose macro-actions, int64 (n, 3): bead, target, side (0 under, 1 over).
 
     Args:
         network: in evaluation mode.
@@ -169,11 +168,11 @@ def choose_macros(
         # all are logarithms: worth by the order, chance of being chosen, and weighed by WORKING the
         # chance that it works
         worth = prior + weight * likely + WORKING * works + torch.from_numpy(noise)
-        beads, targets, sides = macros[torch.arange(count), worth.argmax(1)[:count]].numpy().T
+        best = macros[torch.arange(count), worth.argmax(1)[:count]].numpy()
         # back from the canonical frame into the world; reversal is its own inverse
-        beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
-        targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
-        chosen.append(np.stack([beads, targets, seen.frames.sides(2 * sides - 1)], axis=1))
+        own = seen.frames.macros(best, points.shape[1])
+        own[:, 1] = (own[:, 1] + (own[:, 1] == own[:, 0])) % points.shape[1]  # not itself
+        chosen.append(own)
     return np.concatenate(chosen)
 
 
@@ -203,10 +202,9 @@ def _with_passes(
     for row, (sight, goal) in enumerate(zip(Sight.of(points), goals, strict=True)):
         ordered = [*islice(values.passes(goal, sight), _PASSES)]
         if ordered:
-            beads, targets, sides = np.array([move for move, _ in ordered]).T[:, :, None]
-            own = marked.rows([row]).frames
-            seen = own.renumber(beads), own.renumber(targets), (own.sides(sides) + 1) // 2
-            macros[row, known : known + len(ordered)] = torch.from_numpy(np.hstack(seen))
+            passes = np.array([(bead, target, side > 0) for (bead, target, side), _ in ordered])
+            seen = marked.rows([row]).frames.macros(passes, points.shape[1])
+            macros[row, known : known + len(ordered)] = torch.from_numpy(seen)
             # no pass of the order may be worth less than one that the order doesn't have
             worth = torch.tensor([value for _, value in ordered]).clamp(min=_UNORDERED)
             prior[row, known : known + len(ordered)] = worth.log()

@@ -21,9 +21,9 @@ def _make(config: PolicyConfig) -> Policy:
         from knotgym.learn.clone_policy import load_clone
 
         return load_clone(policy_folder(config.policy))
-    from knotgym.learn.agent import load_picture_policy
+    from knotgym.learn.agent import PicturePolicy
 
-    return load_picture_policy(config.policy)
+    return PicturePolicy(config.policy)
 
 
 def _files(name: str) -> dict[str, Path]:

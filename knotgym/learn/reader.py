@@ -13,6 +13,7 @@ Positions are in metres, z up, the rope's middle at the origin.
 After a change run what `shape_hypotheses` says; weights that ship must still load.
 """
 
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
@@ -61,22 +62,20 @@ class BeadNetwork(nn.Module):
     def __init__(self, inputs: int, outputs: int, width: int, dilations: tuple[int, ...]) -> None:
         super().__init__()
         # names of modules are keys of stored weights, so a rename breaks checkpoints
-        self.inward = nn.Conv1d(inputs, width, 6, stride=2)
+        # kernel 6 and stride 2 need two beads of padding on either side to halve the beads exactly
+        self.inward = nn.Conv1d(inputs, width, 6, 2, 2, padding_mode="circular")
         self.blocks = nn.ModuleList(
-            nn.ModuleList(
-                [_CircularConvolution(width, width, 3, dilation), nn.Conv1d(width, width, 1)]
-            )
+            nn.ModuleList([_circular(width, width, dilation), nn.Conv1d(width, width, 1)])
             for dilation in dilations
         )
         self.outward = nn.ConvTranspose1d(width, width // 2, 2, stride=2)
         # at full resolution, past the blocks
-        self.beside = _CircularConvolution(inputs, width // 2, 3)
-        self.last = _CircularConvolution(width // 2, outputs, 3)
+        self.beside = _circular(inputs, width // 2)
+        self.last = _circular(width // 2, outputs)
 
     def forward(self, beads: Tensor) -> Tensor:
         """Map float32 (n, inputs, beads) to float32 (n, outputs, beads)."""
-        # kernel 6 and stride 2 need two beads of padding on either side to halve the beads exactly
-        x = self.inward(functional.pad(beads, (2, 2), mode="circular"))
+        x = self.inward(beads)
         for mix, after in self.blocks:
             x = x + after(functional.relu(mix(functional.relu(x))))
         # the skip connection `beside` brings back what halving the resolution lost
@@ -84,18 +83,10 @@ class BeadNetwork(nn.Module):
         return self.last(functional.relu(y))
 
 
-class _CircularConvolution(nn.Module):
-    """A convolution with circular padding that keeps the number of beads."""
-
-    def __init__(self, inputs: int, outputs: int, kernel: int, dilation: int = 1) -> None:
-        super().__init__()
-        # as much on either side as keeps the number of beads; odd kernels only
-        self._margin = dilation * (kernel - 1) // 2
-        self.convolution = nn.Conv1d(inputs, outputs, kernel, dilation=dilation)
-
-    def forward(self, x: Tensor) -> Tensor:
-        padded = functional.pad(x, (self._margin, self._margin), mode="circular")
-        return self.convolution(padded)
+def _circular(inputs: int, outputs: int, dilation: int = 1) -> nn.Module:
+    """Make a convolution of kernel 3 with circular padding, which keeps the number of beads."""
+    padded = nn.Conv1d(inputs, outputs, 3, 1, dilation, dilation, padding_mode="circular")
+    return nn.Sequential(OrderedDict(convolution=padded))  # the name is part of stored keys
 
 
 def _initialize(network: BeadNetwork, seed: int) -> BeadNetwork:

@@ -70,7 +70,7 @@ class Training(ABC):
         """Return the tensors to keep beside the optimizer's, which are changed in place."""
         return {"network": self.network.state_dict()}
 
-    def save(self, path: Path) -> None:
+    def _save(self, path: Path) -> None:
         """Write the checkpoint, with a digest; it replaces the one before at once."""
         # AdamW's two means and its count for each parameter: without them a resumed training would
         # take other steps
@@ -84,7 +84,7 @@ class Training(ABC):
         with atomic_write(path) as part:
             part.write_bytes(hashlib.sha256(content).digest() + content)
 
-    def restore(self, path: Path) -> None:
+    def _restore(self, path: Path) -> None:
         """Continue from a checkpoint.
 
         Raises:
@@ -128,14 +128,14 @@ def fit(training: Training, path: Path, save_every: int, what: str, progress: Pr
         progress: where to show it.
     """
     if path.exists():
-        training.restore(path)
+        training._restore(path)
 
     while training.step < training.steps:
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
         progress.stage(f"training the {what}", training.step, training.steps, facts)
         training.advance()
         if training.step % save_every == 0 or training.step == training.steps:
-            training.save(path)
+            training._save(path)
 
 
 def draw_curve(

@@ -26,6 +26,7 @@ from knotgym.control import (
 )
 from knotgym.datasets import Episodes
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
+from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.train_config import CloneConfig
 from knotgym.rope import Array, Pass
 from knotgym.runs import Result
@@ -100,11 +101,8 @@ def _examples(
         worked, episodes: as of `Examples`.
     """
     seen = Marked.of(points.astype(np.float32), goals)
-    (beads, targets, sides), frames = macros.T, seen.frames
-    chosen = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
-    marks, code, goal, small = (
-        column.astype(np.int8) for column in (*seen[1:4], np.stack(chosen, axis=1))
-    )
+    chosen = seen.frames.macros(np.column_stack([macros[:, :2], macros[:, 2] > 0]), BEADS)
+    marks, code, goal, small = (column.astype(np.int8) for column in (*seen[1:4], chosen))
     return Examples(seen.points.astype(np.float16), marks, code, goal, small, worked, episodes)
 
 

@@ -211,8 +211,10 @@ class HandTab:
         self.scene.mark(points)
         session, rope = self.session, np.zeros(1, dtype=np.int64)
         (code,), (goal,) = session.batch.codes_of(rope), session.batch.goals_of(rope)
-        state = "**the goal is reached**" if session.success else f"{session.left} pulls left"
-        if session.ended and not session.success:
+        state = f"{session.task.horizon - len(session.pulls)} pulls left"
+        if session.success:
+            state = "**the goal is reached**"
+        elif session.ended:
             state = "**over**: no pulls left"
         recorded = "" if self._recorder is None else f", recorded in `{self._recorder.folder.name}`"
         if self._recorder is not None and session.helped:

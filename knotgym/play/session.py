@@ -62,11 +62,6 @@ class Session:
         return bool(self.batch.successes(_ROPE)[0])
 
     @property
-    def left(self) -> int:
-        """Pulls that are left."""
-        return int(self.task.horizon - self.batch.steps[0])
-
-    @property
     def helped(self) -> bool:
         """Whether one of the pulls is a policy's."""
         return any(pull.helped for pull in self.pulls)

@@ -100,13 +100,13 @@ def show_transcripts(named: str | Path) -> tuple[dict[str, Any], list[tuple[str,
         empty for episodes.
 
     Raises:
-        InvalidFile: as in `read_transcripts`.
+        InvalidFile: as in `_read_transcripts`.
     """
     given = Path(named)
     file = given / FILE if given.is_dir() else given
     if not file.is_file() or file.suffix != ".jsonl":
         return None
-    found = read_transcripts(file)
+    found = _read_transcripts(file)
     config = found[0]["config"]
     task = config.get("task")  # none where pictures were read
     task = task and {name: task[name] for name in ("task", "nx", "split")}
@@ -115,7 +115,7 @@ def show_transcripts(named: str | Path) -> tuple[dict[str, Any], list[tuple[str,
     return {**facts, **summarize(found)}, table
 
 
-def read_transcripts(path: Path) -> list[dict[str, Any]]:
+def _read_transcripts(path: Path) -> list[dict[str, Any]]:
     """Read the transcripts of a file.
 
     Raises:

@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 import pytest
 
 from knotgym.cli.options import field_help, numbers
-from knotgym.cli.program import COMMANDS, application, module_of
+from knotgym.cli.program import COMMANDS, _module_of, application
 from knotgym.common import InvalidInput, choices
 from knotgym.states import shipped
 
@@ -85,7 +85,7 @@ def test_every_option_says_what_it_is() -> None:
 
 def test_a_summary_in_the_list_is_the_first_line_of_the_commands_own_help() -> None:
     for name, summary in COMMANDS.items():
-        command = getattr(import_module(module_of(name)), name)
+        command = getattr(import_module(_module_of(name)), name)
         assert " ".join(command.help.split()) == summary
 
 
@@ -292,7 +292,7 @@ def test_help_and_version_are_shown_with_status_0(
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "dataset"])
 def test_help_names_every_choice(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    run = getattr(import_module(module_of(command)), command).default_command
+    run = getattr(import_module(_module_of(command)), command).default_command
     application()([command, "--help"], result_action="return_value")
     shown = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
     for section, kind in run.sections.items():

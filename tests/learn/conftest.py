@@ -37,13 +37,13 @@ def break_off(data: Sequence[Path], out: Path, config: Any) -> None:
     """Train until the first checkpoint is saved, and interrupt."""
     from knotgym.learn.training import Training
 
-    save = Training.save
+    save = Training._save
 
     def save_and_stop(training: Training, path: Path) -> None:
         save(training, path)
         raise KeyboardInterrupt
 
-    with mock.patch.object(Training, "save", save_and_stop), pytest.raises(KeyboardInterrupt):
+    with mock.patch.object(Training, "_save", save_and_stop), pytest.raises(KeyboardInterrupt):
         train(data, out, config)
 
 

@@ -111,9 +111,9 @@ def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
 
     training, path = tiny(), tmp_path / "checkpoint"
     training.advance()
-    training.save(path)
+    training._save(path)
     again = tiny()
-    again.restore(path)
+    again._restore(path)
     assert again.step == 1
     training.advance()
     again.advance()
@@ -123,11 +123,11 @@ def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
     raw[-5] ^= 1
     path.write_bytes(raw)
     with pytest.raises(InvalidFile, match="can't be continued from"):
-        tiny().restore(path)
+        tiny()._restore(path)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(InvalidFile, match="isn't a regular file"):
-        tiny().restore(path)
+        tiny()._restore(path)
 
 
 def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(

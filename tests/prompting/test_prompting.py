@@ -16,7 +16,7 @@ from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
 from knotgym.prompting.prompts import FIRST, PromptConfig
-from knotgym.prompting.transcripts import read_transcripts, reading_scores, show_transcripts
+from knotgym.prompting.transcripts import _read_transcripts, reading_scores, show_transcripts
 from knotgym.runs import RunOptions
 
 from ..small_job import staging_of
@@ -51,7 +51,7 @@ def played(server: ChatServer, out: Path, mode: str = "stateless", **more: Any) 
     with server.serving():
         run_prompts(config(server.url, mode, **more), out, QUIET)
     result = json.loads((out / "result.json").read_text())
-    return read_transcripts(out / "transcripts.jsonl"), result
+    return _read_transcripts(out / "transcripts.jsonl"), result
 
 
 def test_a_prompt_has_all_parts_in_their_order(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_a_run_is_resumed_and_the_key_is_nowhere(tmp_path: Path) -> None:
         assert len(server.requests) == before + 6  # of three episodes of four actions
         run_prompts(own, out, RESUME)  # it is there
     result = json.loads((out / "result.json").read_text())
-    told = read_transcripts(out / "transcripts.jsonl")
+    told = _read_transcripts(out / "transcripts.jsonl")
     assert [one["number"] for one in told] == [0, 1, 2]
     assert result["answers"] == {"valid": 8, "not finite": 4} and result["episodes"] == 3
     assert (result["prompt_tokens"], result["completion_tokens"]) == (1200, 120)
@@ -207,7 +207,7 @@ def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
     server = ChatServer(answer)
     with server.serving():
         run_prompts(config(server.url, "read"), tmp_path / "run", QUIET, rows=rows)
-    told = read_transcripts(tmp_path / "run" / "transcripts.jsonl")
+    told = _read_transcripts(tmp_path / "run" / "transcripts.jsonl")
     asked = {hashes(one["messages"][0])[1] for one in server.requests}
     assert asked == {one["picture"] for one in told}
     assert [one["fault"] for one in told] == ["", "", "no block"]
@@ -244,4 +244,4 @@ def test_the_first_request_is_shown_without_sending_it() -> None:
 def test_a_line_that_is_no_transcript_is_refused(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "t.jsonl").write_text(text + "\n")
     with pytest.raises(InvalidFile, match=said):
-        read_transcripts(tmp_path / "t.jsonl")
+        _read_transcripts(tmp_path / "t.jsonl")
