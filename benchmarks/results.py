@@ -82,7 +82,8 @@ def over_seeds(found: Sequence[Result]) -> tuple[float, float, float]:
     """The rate of results of one cell, and its interval over states and, of several, seeds."""
     if len(found) == 1:
         return found[0].success_rate, found[0].low, found[0].high
-    parts = {name: sum((one.outcomes[name] for one in found), []) for name in found[0].outcomes}
+    names = found[0].outcomes
+    parts = {name: [k for one in found for k in one.outcomes[name]] for name in names}
     seeds = np.repeat(range(len(found)), [one.episodes for one in found])
     interval = cluster_interval(parts["success"], parts["start"], parts["goal"], seeds)
     return float(np.mean(parts["success"])), *interval
