@@ -26,22 +26,18 @@ def passages() -> dict[str, Any]:
 
 
 @pytest.mark.thorough
-def test_crossings_that_are_switched_are_passages(passages: dict[str, Any]) -> None:
+def test_crossings_that_are_switched_are_passages_and_a_turn_is_none(
+    passages: dict[str, Any],
+) -> None:
     rope = drawn_curve(TREFOIL, np.random.default_rng(0))
     heights = np.linspace(1.0, -1.0, 102)[:, None, None]  # even: none is 0
     steps = rope * np.concatenate([np.ones((102, 1, 2)), heights], axis=2)
     changes = passages["linking"](steps[:-1], steps[1:])
     assert np.abs(changes - np.round(changes)).max() < 1e-9
     assert abs(changes.sum()) == pytest.approx(6)  # two for each of three crossings
-
-
-@pytest.mark.thorough
-def test_a_motion_of_the_whole_rope_is_none(passages: dict[str, Any]) -> None:
-    rope = drawn_curve(TREFOIL, np.random.default_rng(0))
-    angles = np.linspace(0, 2 * np.pi, 100)
-    steps = np.array(
-        [rope @ [[1, 0, 0], [0, np.cos(a), np.sin(a)], [0, -np.sin(a), np.cos(a)]] for a in angles]
-    )
+    # turned about the x axis
+    flat = (rope[:, 1] + 1j * rope[:, 2]) * np.exp(1j * np.linspace(0, 2 * np.pi, 100))[:, None]
+    steps = np.stack([rope[:, 0] + 0 * flat.real, flat.real, flat.imag], axis=2)
     assert np.abs(passages["linking"](steps[:-1], steps[1:])).max() < 1e-9
     assert {tuple(passages["knot"](step)) for step in steps} == {tuple(passages["knot"](rope))}
 

@@ -1,8 +1,7 @@
 """Configurations refuse invalid values in one line and survive a round trip through JSON."""
 
 import json
-import pickle
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -96,10 +95,3 @@ def test_a_configuration_comes_back_from_json(kind: Any) -> None:
 def test_numbers_of_numpy_are_plain_ones() -> None:
     config = Outer(seed=np.int32(5), inner=Inner(range=(np.float32(0.5), np.float64(1))))  # type: ignore[arg-type]
     assert type(config.seed) is int and type(config.inner.range[0]) is float
-
-
-def test_a_configuration_is_frozen_hashable_and_pickles() -> None:
-    config = replace(Outer(), seed=3)
-    assert pickle.loads(pickle.dumps(config)) == config and hash(config) == hash(replace(config))
-    with pytest.raises(AttributeError):
-        config.seed = 4  # type: ignore[misc]

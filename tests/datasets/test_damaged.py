@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -89,30 +88,21 @@ def test_episodes_that_hold_infinity_are_one_line(
     assert "finite" in refused(command, tmp_path / "a.h5", capfd)
 
 
-def _fewer(file: h5py.File) -> None:
-    del file["episode_1/actions"]
-
-
-def _other(file: h5py.File) -> None:
-    del file["episode_0/observations"]
-    file["episode_0/observations"] = np.zeros(3)
-
-
-@pytest.mark.parametrize("harm", [_fewer, _other, None])
+@pytest.mark.parametrize("bytes_are_lost", [False, True])
 def test_a_damaged_file_of_minari_is_one_line(
-    harm: Callable[[h5py.File], None] | None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    bytes_are_lost: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     merge([str(TINY["random"])], tmp_path, "a/b-v0")
     data = tmp_path / "a/b-v0/data"
     main_data = data / "main_data.hdf5"
-    if harm:
-        with h5py.File(main_data, "a") as file:
-            harm(file)
-    else:
+    if bytes_are_lost:
         whole = bytearray(main_data.read_bytes())
         whole[200 : len(whole) // 2] = bytes(len(whole) // 2 - 200)
         main_data.write_bytes(whole)
-    assert "main_data.hdf5" in refused("verify", data.parent, capfd) or harm is None
+    else:
+        with h5py.File(main_data, "a") as file:
+            del file["episode_1/actions"]
+    assert "main_data.hdf5" in refused("verify", data.parent, capfd) or bytes_are_lost
     (data / "episodes.h5").unlink()  # as if Minari had recorded it
     with pytest.raises(SystemExit) as ended:
         main(["train", "--data", str(data.parent), "--out", str(tmp_path / "out"), "--quiet"])

@@ -137,40 +137,35 @@ def test_a_webdataset_holds_pictures_strands_and_the_rest(
 
 
 @pytest.mark.clients
-@pytest.mark.usefixtures("rows")
-@pytest.mark.parametrize(
-    ("kind", "given"), [("bbox", "bbox"), ("segm", "segmentation"), ("keypoints", "keypoints")]
-)
-def test_cocos_default_scoring_finds_the_truth_perfect(
-    folder: Path, tmp_path: Path, kind: str, given: str
+def test_webdataset_reads_what_is_exported(
+    folder: Path, rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    tools, scoring = (pytest.importorskip(f"pycocotools.{one}") for one in ("coco", "cocoeval"))
-    export(str(folder), tmp_path / "coco", "coco", replay)
-    truth = tools.COCO(str(tmp_path / "coco/train.json"))
-    names = ("image_id", "category_id", given)
-    found = [{"score": 1.0, **{name: one[name] for name in names}} for one in truth.anns.values()]
-    score = scoring.COCOeval(truth, truth.loadRes(found), kind)
-    for step in (score.evaluate, score.accumulate, score.summarize):
-        step()
-    assert score.stats[0] == pytest.approx(1.0)
+    tars = pytest.importorskip("webdataset")
+    export(str(folder), tmp_path / "tars", "webdataset", replay)
+    shards = tars.WebDataset(str(tmp_path / "tars/train-000000.tar"), shardshuffle=False)
+    for row, sample in zip(rows, shards.decode("rgb8"), strict=True):
+        assert np.array_equal(sample["png"], decode(row["image"]))
+        assert sample["json"]["gauss_code"] == row["gauss_code"]
 
 
 @pytest.mark.clients
-def test_pycocotools_and_webdataset_read_what_is_exported(
+def test_pycocotools_reads_what_is_exported_and_scores_the_truth_perfect(
     folder: Path, rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    tools, tars = pytest.importorskip("pycocotools.coco"), pytest.importorskip("webdataset")
+    tools, scoring = (pytest.importorskip(f"pycocotools.{one}") for one in ("coco", "cocoeval"))
     export(str(folder), tmp_path / "coco", "coco", replay)
-    export(str(folder), tmp_path / "tars", "webdataset", replay)
     coco = tools.COCO(str(tmp_path / "coco/train.json"))
-    shards = tars.WebDataset(str(tmp_path / "tars/train-000000.tar"), shardshuffle=False)
-    samples = list(shards.decode("rgb8"))
-    for number, (row, sample) in enumerate(zip(rows, samples, strict=True)):
+    for number, row in enumerate(rows):
         strands = decode(row["strands"])[..., 0]
         for one in coco.loadAnns(coco.getAnnIds(imgIds=number, catIds=[1, 2])):
             right = strands == one["edge"] if "edge" in one else strands > 0
             assert np.array_equal(coco.annToMask(one), right)
         crossings = coco.loadAnns(coco.getAnnIds(imgIds=number, catIds=3))
         assert len(crossings) == row["nx"] and all(coco.annToMask(one).any() for one in crossings)
-        assert np.array_equal(sample["png"], decode(row["image"]))
-        assert sample["json"]["gauss_code"] == row["gauss_code"]
+    for kind, given in (("bbox", "bbox"), ("segm", "segmentation"), ("keypoints", "keypoints")):
+        kept = ("image_id", "category_id", given)
+        found = [{"score": 1.0} | {name: one[name] for name in kept} for one in coco.anns.values()]
+        score = scoring.COCOeval(coco, coco.loadRes(found), kind)
+        for step in (score.evaluate, score.accumulate, score.summarize):
+            step()
+        assert score.stats[0] == pytest.approx(1.0)

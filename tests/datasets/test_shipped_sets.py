@@ -1,22 +1,16 @@
 """The sets of states that ship: what is in them, and that environments begin with them."""
 
 from collections import Counter
+from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.datasets.row_verification import state_faults
 from knotgym.envs import KnotEnv
-from knotgym.states import States, read_states, shipped
+from knotgym.states import read_states, shipped
 from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, shows
-
-
-@pytest.fixture(scope="module")
-def hard() -> States:
-    """The hard unknots, without pictures."""
-    return read_states(shipped("hard-unknots"), images=False)
 
 
 @pytest.mark.parametrize("name", ["readable", "random-walk"])
@@ -34,48 +28,30 @@ def test_another_name_of_a_set_is_refused() -> None:
         shipped("published")
 
 
-def test_four_hard_unknots_ship_twice_each_and_all_for_testing(hard: States) -> None:
+def test_four_hard_unknots_ship_twice_each_and_all_for_testing() -> None:
+    hard = read_states(shipped("hard-unknots"), images=False)
     # a test state was 6.7 mm from a train state of the same diagram, another base bead aside
     assert set(hard.split) == {"test"}
-    diagrams = Counter(
-        canonical(GaussCode.parse(code), Symmetry.DIAGRAM) for code in hard.gauss_code
-    )
+    codes = [GaussCode.parse(code) for code in hard.gauss_code]
+    diagrams = Counter(canonical(code, Symmetry.DIAGRAM) for code in codes)
     assert sorted((code.nx, count) for code, count in diagrams.items()) == [
-        (7, 2),
-        (10, 2),
-        (10, 2),
-        (11, 2),
+        *((7, 2), (10, 2), (10, 2), (11, 2))
     ]
-
-
-def test_they_are_unknots(hard: States) -> None:
-    for text in set(hard.gauss_code):
-        assert shows(GaussCode.parse(text), UNKNOT)
+    assert all(shows(code, UNKNOT) for code in set(codes))
 
 
 @pytest.mark.parametrize("nx", [7, 10, 11])
 def test_the_unknot_task_begins_with_one(nx: int) -> None:
-    env = gymnasium.make(
-        "knotgym/Unknot-v0", nx=nx, states="hard-unknots", split="test", observation="state"
-    )
-    info = env.reset(seed=0)[1]
+    settings: dict[str, Any] = {"nx": nx, "states": "hard-unknots", "observation": "state"}
+    info = KnotEnv("unknot", split="test", **settings).reset(seed=0)[1]
     assert GaussCode.parse(info["gauss_code"]).nx == nx and info["goal_gauss_code"] == ""
+    with pytest.raises(InvalidInput, match=rf"it has nx .*{nx} .*\(test\)"):
+        KnotEnv("unknot", **settings)
 
 
-def test_their_missing_train_split_is_refused_with_the_one_there_is() -> None:
-    with pytest.raises(InvalidInput, match=r"it has nx 7 \(test\)"):
-        KnotEnv("unknot", nx=7, states="hard-unknots")
-
-
+@pytest.mark.parametrize("most", [2, pytest.param(None, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("name", ["readable", "random-walk", "hard-unknots", "bench"])
-def test_shipped_states_are_without_fault_in_some_rows(name: str) -> None:
+def test_shipped_states_are_without_fault(name: str, most: int | None) -> None:
     states = read_states(shipped(name), images=name != "bench")
-    shortest = np.argsort(states.source["steps"], kind="stable")[:2]
-    assert list(state_faults(states.take(shortest))) == []
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", ["readable", "random-walk", "hard-unknots", "bench"])
-def test_shipped_states_are_without_fault(name: str) -> None:
-    states = read_states(shipped(name), images=name != "bench")
-    assert list(state_faults(states)) == []
+    shortest = np.argsort(states.source["steps"], kind="stable")[:most]
+    assert list(state_faults(states.take(np.sort(shortest)))) == []

@@ -79,59 +79,45 @@ def with_blank_lines(text: str) -> str:
 # how others write one closed curve
 ONE: dict[str, Callable[[Points], str | bytes]] = {
     "commas.csv": table,
-    "spaces after commas.csv": lambda p: table(p, ", "),
     "names of columns.csv": lambda p: "x,y,z\n" + table(p),
-    "quoted names.csv": lambda p: '"X","Y","Z"\n' + table(p),
     "quoted numbers.csv": lambda p: table([[f'"{x}"' for x in row] for row in p]),
     "SUFFIX.CSV": table,
-    "byte-order mark.csv": lambda p: codecs.BOM_UTF8 + table(p).encode(),
     "names after a mark.csv": lambda p: codecs.BOM_UTF8 + b"x,y,z\n" + table(p).encode(),
     "of a spreadsheet.txt": lambda p: table(p, "\t").encode("utf-16"),
     "ends of Windows.csv": lambda p: table(p, end="\r\n"),
     "comments.csv": lambda p: "# a\n#\n" + table(p[:9]) + "# b\n" + table(p[9:], end=" # c\n"),
     "index of pandas.csv": lambda p: ",x,y,z\n" + table(numbered(p)),
-    "index without names.csv": lambda p: table(numbered(p)),
     "curve and name.csv": lambda p: "curve,x,y,z\n" + table(numbered(p, "3_1#4_1")),
     "semicolons.csv": lambda p: table(p, ";"),
     "empty rows at the end.csv": lambda p: table(p) + ",,\n,,\n\n",
     "repeated first point.csv": lambda p: table(closed(p)),
     "nearly repeated first point.csv": lambda p: table(closed(p, 1e-15)),
     "every point twice.csv": lambda p: table(twice(p)),
-    "tabs.tsv": lambda p: table(p, "\t"),
     "count from 1.tsv": lambda p: table(numbered(p, 1), "\t"),
     "spaces.txt": lambda p: table(p, " "),
-    "aligned.dat": lambda p: table([[f"{x:24.17e}" for x in row] for row in p], "  "),
     "of savetxt.txt": lambda p: table([[f"{x:.18e}" for x in row] for row in p], " "),
-    "rows.xyz": lambda p: table(p, " "),
     "residues.xyz": lambda p: table(numbered(p, 17), " "),
     "molecule.xyz": lambda p: f"{len(p)}\na knot\n" + table(numbered(p, "C"), " "),
-    "molecule without comment.xyz": lambda p: f"{len(p)}\n\n" + table(numbered(p, "C"), "\t"),
     "molecule without a line for comments.xyz": lambda p: f"{len(p)}\n" + table(p, " "),
     "atoms.xyz": lambda p: f"{len(p)}\n1 2 3 4 5\n" + table(
         [["CN"[k % 2], *point] for k, point in enumerate(p)], " "
     ),
     "number of rows.txt": lambda p: f"{len(p)}\n" + table(p, " "),
     "number of rows.csv": lambda p: f"{len(p)}\nx,y,z\n" + table(p),
-    "number and count.dat": lambda p: f"{len(p)}\n" + table(numbered(p, 1), "  "),
     "count that begins again.csv": lambda p: table([*numbered(p, 1), [1, *p[0].tolist()]]),
     "count that goes on.csv": lambda p: table(numbered(closed(p), 1)),
     "closed.vect": vect,
-    "open.VECT": lambda p: vect(p, closed=False),
     "repeated first vertex.vect": lambda p: vect(closed(p), closed=False),
     "comments and colours.vect": lambda p: "# KnotPlot\n" + vect(p, colours="1 0 0 1 # red\n"),
     "on few lines.vect": lambda p: " ".join(vect(p).split()),
     "list.json": lambda p: json.dumps(p.tolist()),
-    "one of one.json": lambda p: json.dumps([p.tolist()]),
     "named.json": lambda p: json.dumps({"name": "knot", "points": p.tolist()}),
     "byte-order mark.json": lambda p: codecs.BOM_UTF8 + json.dumps(p.tolist()).encode(),
     "count.json": lambda p: json.dumps(numbered(p)),
     "float64.npy": npy,
-    "count.npy": lambda p: npy(numbered(closed(p))),
     "float32.npy": lambda p: npy(p.astype(np.float32)),
-    "columns.npy": lambda p: npy(np.asfortranarray(p)),
     "integers.npy": lambda p: npy((p * 1e6).astype(np.int32)),
     "one of one.npy": lambda p: npy(p[None]),
-    "repeated points.npy": lambda p: npy(closed(twice(p))),
     "compressed.npz": lambda p: npz(points=p),
 }  # fmt: skip
 # the same of several curves with names of their own
@@ -173,50 +159,33 @@ def test_a_curve_of_others_has_the_code_that_pyknotid_reads(tmp_path: Path, numb
     assert knot_type(code) == KNOTS[number % 4].removeprefix("m")
 
 
-@pytest.mark.parametrize("name", SEVERAL)
-def test_curves_with_names_of_their_own_stay_apart(tmp_path: Path, name: str) -> None:
-    path = wrote(tmp_path / name, SEVERAL[name](knot(0), knot(1)))
-    codes = [_shown_code(curve.points, ROPE) for curve in read_curves(path)]
-    assert [knot_type(code) for code in codes] == ["3_1", "4_1"]
-
-
 P, (A, B) = knot(0), hopf_link()
 SHADOW = np.concatenate([P[:, :2], P[:, :1] * 0], axis=1)
 BACK = np.concatenate([P[:40], P[20:21] + (0, 0, 1), P[39:]])[::-1]  # to a spike and back
 REFUSED: list[tuple[str, str | bytes, str]] = [
     ("blank.csv", table(A) + "\n" + table(B), "a link, 2 components"),
-    ("blank.txt", table(A, " ") + "\n \n" + table(B, " "), "a link, 2 components"),
     ("spreadsheet.csv", table(A) + ",,\n" + table(B), "a link, 2 components"),
     ("name.csv", table(numbered(A, "a") + numbered(B, "b") + numbered(A, "a")), "link, 2 .* of a"),
     ("two.vect", vect(A, B), "a link, 2 components"),
     ("two.json", json.dumps([A.tolist(), B[1:].tolist()]), "a link, 2 components"),
-    ("two.npy", npy([A, B]), "a link, 2 components"),
     ("two.npz", npz(a=[A, B]), "a link, 2 components of a"),
     ("frames.xyz", ("100\n\n" + table(numbered(A, "C"), " ")) * 2, "a link, 2 components"),
     ("joined.csv", table(np.concatenate([A, B])), "points 100 and 101 are .* times as far apart"),
     ("shadow.csv", table(SHADOW), "after point 105 it meets itself after point 277"),
-    ("shadow.vect", vect(SHADOW), "isn't embedded"),
-    ("through itself.csv", table(np.concatenate([A, A[:1], B - B[0] + A[0]])), "isn't embedded"),
     ("spike.csv", table([*P[:9], P[8] + P[8] - P[7], P[8] * 0.5 + P[7] * 0.5, *P[9:]]), "embedded"),
     ("typed.csv", "O.5,0,1\n" + table(P), "line 1: "),
     ("typed name.csv", "a,0.5,O,1\n" + table(numbered(P, "a")), "line 1: "),
-    ("typed.txt", "x y z\n1 2 x\n", "line 2: "),
     ("other names.csv", "z,y,x\n" + table(P), "line 1: "),
     ("names last.csv", "x,y,z,curve\n" + table(P), "line 1: "),
-    ("twice named.csv", "x,y,z\nx,y,z\n" + table(P), "line 2: "),
     ("flat.csv", table(P[:, :2]), "line 1 has 2 values"),
-    ("wide.csv", table(np.hstack([P, P])), "line 1 has 6 values"),
     ("flat and counted.csv", table(numbered(P[:, :2])), "its first column counts the rows"),
-    ("flat and counted.npy", npy(numbered(P[:, :2])), "its first column counts the rows"),
     ("number of others.txt", "299\n" + table(P, " "), "299 rows are announced, and there are 300"),
     ("last numbers.csv", table([*p, k] for k, p in enumerate(P.tolist())), "is no name"),
     ("radius.npy", npy(np.hstack([P, P[:, :1]])), r"\(n, 3\) array of points, got shape"),
-    ("radius.csv", table(np.hstack([P, P[:, :1]])), "is no name"),
     ("commas.csv", table(P).replace(",", ";").replace(".", ","), "line 1"),
     ("open.csv", table(P[:200]), "isn't closed"),
     ("few.csv", "0,0,0\n1,0,0\n1,1,0", "at least 4 different points"),
     ("none.csv", "", "holds no curves"),
-    ("none.txt", "# nothing\n\n", "holds no curves"),
     ("nan.csv", "nan,0,0\n1,0,0\n1,1,0\n0,1,0", "finite"),
     ("huge.csv", table(P * 1e200), "finite"),
     ("walk.npy", npy(np.random.default_rng(0).normal(size=(5_000, 3))), "more than 100 crossings"),
@@ -224,23 +193,14 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("counts.vect", vect(P).replace("-300", "-299"), "aren't those announced"),
     ("short.vect", vect(P)[:-40], "aren't those announced"),
     ("four.vect", "4" + vect(P), "begins with VECT"),
-    ("none.vect", "", "begins with VECT"),
     ("text.json", "[[1,2", "can't be read"),
-    ("deep.json", "[" * 99_999, "can't be read"),
     ("none.json", '{"name": "trefoil"}', "holds no curves"),
-    ("words.json", '[["a", "b", "c"]]', "real numbers"),
     ("flat.json", "[1, 2, 3]", r"got shape \(3,\)"),
     ("pickled.npy", npy(np.array([{}], dtype=object)), "can't be read"),
-    ("complex.npy", npy(P * 1j), "real numbers"),
     ("many.npy", npy(np.zeros((1_000_001, 3), np.int8)), "more than 1000000 points"),
     ("text.npz", "x", "can't be read"),
-    (
-        "curves.csv",
-        "".join(f"n{k},0,0,0\n" for k in range(20_001)),
-        "20001 curves, more than 20000",
-    ),
+    ("curves.csv", table([f"n{k}", 0, 0, 0] for k in range(20_001)), "20001 curves, more than"),
     ("knot.stl", "solid", "curves are read from .csv"),
-    ("long.csv", " " * 1_000_001, "more than 1000000 lines, or characters"),
     ("lines.vect", "\n" * 1_000_001, "more than 1000000 lines"),
 ]
 
@@ -291,16 +251,19 @@ def test_any_file_is_curves_or_refused(
         assert "\n" not in str(error)
 
 
-WRITTEN: dict[str, Callable[[Points], str | bytes]] = {
-    "csv": lambda states: "".join(table(numbered(p, f"s{k}")) for k, p in enumerate(states)),
-    "npz": lambda states: npz(**{f"s{k}": p for k, p in enumerate(states)}),
-}
+@pytest.mark.parametrize("name", SEVERAL)
+def test_curves_with_names_of_their_own_stay_apart(tmp_path: Path, name: str) -> None:
+    path = wrote(tmp_path / name, SEVERAL[name](knot(0), knot(1)))
+    codes = [_shown_code(curve.points, ROPE) for curve in read_curves(path)]
+    assert [knot_type(code) for code in codes] == ["3_1", "4_1"]
 
 
-@pytest.mark.parametrize("suffix", WRITTEN)
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
 def test_every_shipped_state_comes_back_from_every_form(tmp_path: Path, suffix: str) -> None:
     states = read_states(shipped(), images=False)
-    path = wrote(tmp_path / f"states.{suffix}", WRITTEN[suffix](states.points))
+    named = {f"s{k}": points for k, points in enumerate(states.points)}
+    rows = "".join(table(numbered(points, name)) for name, points in named.items())
+    path = wrote(tmp_path / f"states.{suffix}", rows if suffix == "csv" else npz(**named))
     for row, curve in enumerate(read_curves(path)):
         assert np.array_equal(curve.points[:100], states.points[row])
         assert _shown_code(curve.points, ROPE).chiral == states.gauss_code_chiral[row]

@@ -157,19 +157,6 @@ def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) 
     assert same(compute(source(config, {}), memory), compute(source(config, {})))
 
 
-def test_demonstrations_end_in_the_codes_of_the_set(drawn: Path) -> None:
-    states, ended = states_in(drawn), set[str]()
-    for path in sorted(drawn.glob("minari/**/episodes.h5")):
-        played = open_episodes(path).episodes
-        assert played.episodes["success"].all() and set(played.episodes["policy"]) == {"expert"}
-        goals = played.episodes["goal"]
-        assert np.array_equal(
-            played.episodes["goal_points"], states.points[goals].astype(np.float32)
-        )
-        ended |= set(states.gauss_code[goals].tolist())
-    assert ended == set(states.gauss_code.tolist())
-
-
 def test_a_code_without_demonstration_is_named_in_the_card(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,6 +75,21 @@ def page() -> Iterator[Page]:
         yield page
 
 
+@pytest.fixture
+def tab(page: Page) -> Tab:
+    """The first tab of the page, whose rope is laid."""
+    one = Tab(page)
+    until(lambda: page.players)
+    return one
+
+
+def still_plays(player: Any) -> None:
+    """Have a rope pulled, as its tab would wish."""
+    before = len(player.session.pulls)
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: len(player.session.pulls) > before)
+
+
 def port_of(page: Page) -> int:
     return int(page.address.split("/")[2].rpartition(":")[2])
 
@@ -84,30 +99,25 @@ def socket_address(page: Page) -> str:
     return page.address.replace("http://", "ws://").rstrip("/")
 
 
-def test_garbage_ends_the_tab_that_sent_it(page: Page) -> None:
-    good, bad = Tab(page), Tab(page)
+def test_garbage_ends_the_tab_that_sent_it(page: Page, tab: Tab) -> None:
+    bad = Tab(page)
     until(lambda: len(page.players) == 2)
     bad.socket.send(bytes(range(256)))
     until(lambda: len(page.players) == 1)
-    player = next(iter(page.players.values()))
-    good.socket.recv()
-    player.wish = lambda: player.session.pull(3, (1, 0, 0))
-    until(lambda: len(player.session.pulls) == 1)
+    tab.socket.recv()
+    still_plays(next(iter(page.players.values())))
 
 
-def test_a_flood_delays_nobody_else(page: Page) -> None:
-    quiet = Tab(page)
-    until(lambda: len(page.players) == 1)
-    player = next(iter(page.players.values()))
+def test_a_flood_delays_nobody_else(page: Page, tab: Tab) -> None:
+    player = page.players[0]
     loud = Tab(page)
     until(lambda: len(page.players) == 2)
     for number in range(10_000):
         loud.drag(number % 100, (0.1, 0.1, 0.0))
-    player.wish = lambda: player.session.pull(3, (1, 0, 0))
-    until(lambda: len(player.session.pulls) == 1)
+    still_plays(player)
     other = page.players[max(page.players)]
     assert len(other.session.pulls) <= TASK.horizon
-    quiet.socket.close()
+    tab.socket.close()
     loud.socket.close()
     until(lambda: not page.players)  # a closed tab frees its rope
 
@@ -116,16 +126,13 @@ def test_a_flood_delays_nobody_else(page: Page) -> None:
     "bead, place",
     [("/etc/passwd", (0, 0, 0)), (1e9, (0, 0, 0)), (5, ("x", "y", "z")), (-7, (1e308, 0, 0))],
 )
-def test_a_drag_of_nonsense_is_harmless(page: Page, bead: Any, place: Any) -> None:
+def test_a_drag_of_nonsense_is_harmless(page: Page, tab: Tab, bead: Any, place: Any) -> None:
     from websockets.exceptions import ConnectionClosed
 
-    tab = Tab(page)
-    until(lambda: page.players)
     player = page.players[0]
     with suppress(ConnectionClosed):  # viser itself may end the tab
-        tab.drag(bead, place, "start")
-        tab.drag(bead, place)
-        tab.drag(bead, place, "end")
+        for phase in ("start", "update", "end"):
+            tab.drag(bead, place, phase)
     player.wish = lambda: player.session.pull(3, (1, 0, 0))
     until(lambda: player.session.pulls or not page.players)
     assert np.isfinite(player.session.points).all()
@@ -171,27 +178,22 @@ def test_the_page_is_served_to_whatever_leads_to_the_loopback(page: Page, host: 
 
 
 def test_no_tab_can_open_a_tunnel_to_a_public_host(
-    page: Page, monkeypatch: pytest.MonkeyPatch
+    page: Page, tab: Tab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from viser import _viser
 
     opened: list[Any] = []
     monkeypatch.setattr(_viser, "ViserTunnel", lambda *given: opened.append(given))
-    tab = Tab(page)
-    until(lambda: page.players)
     tab.say("ShareUrlRequest")
-    player = page.players[0]
-    player.wish = lambda: player.session.pull(3, (1, 0, 0))
-    until(lambda: player.session.pulls)
+    still_plays(page.players[0])
     page._server.request_share_url()
     assert not opened
 
 
+@pytest.mark.usefixtures("tab")
 def test_a_full_disk_is_told_and_the_tab_goes_on(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tab = Tab(page)
-    until(lambda: page.players)
     player, told = page.players[0], list[Any]()
     monkeypatch.setattr(player._client, "add_notification", lambda *said, **_: told.append(said))
 
@@ -201,9 +203,7 @@ def test_a_full_disk_is_told_and_the_tab_goes_on(
     player.wish = full
     until(lambda: told)
     assert "No space left" in told[0][1]
-    player.wish = lambda: player.session.pull(3, (1, 0, 0))
-    until(lambda: player.session.pulls)
-    tab.socket.close()
+    still_plays(player)
 
 
 def test_a_taken_port_is_one_line(page: Page) -> None:

@@ -5,24 +5,29 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import socket
-import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-Misdeed = tuple[str, Any]  # kind of misbehaviour, and its detail
-Answer = str | Misdeed
+Pieces = Callable[[], Iterable[bytes]]
+Response = tuple[int, dict[str, str], str]
+Answer = str | Response | Pieces
+
+
+def completion(message: dict[str, Any], finish_reason: str = "stop", **more: Any) -> Response:
+    """Return the answer of a server whose model says a message."""
+    choice = {"index": 0, "message": message, "finish_reason": finish_reason}
+    usage = {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110}
+    return 200, {}, json.dumps({"choices": [choice], "usage": usage, **more})
 
 
 class ChatServer:
     """Record all requests; `answer` maps a request's number and body to the response.
 
-    Misdeeds: ("status", (503, {header: value}, body)), ("cut", None), ("slow", seconds),
-    ("body", "{not json"), ("refusal", "I can't"), ("raw", function that yields bytes to send). All
-    but those of kind raw ask the client to retry after a millisecond.
+    That is what the model says; or status, headers and body; or a function of the bytes to send.
+    All but the last ask the client to retry after a millisecond.
     """
 
     def __init__(self, answer: Callable[[int, Any], Answer]) -> None:
@@ -63,42 +68,17 @@ class ChatServer:
             thread.join()
 
     def _respond(self, handler: BaseHTTPRequestHandler, answer: Answer) -> None:
-        kind: str
-        detail: Any
-        kind, detail = ("answer", answer) if isinstance(answer, str) else answer
-        if kind == "slow":
-            threading.Event().wait(detail)
-            kind, detail = "answer", ""
-        if kind == "raw":
+        if isinstance(answer, str):
+            answer = completion({"role": "assistant", "content": answer})
+        if not isinstance(answer, tuple):
             handler.close_connection = True
             try:
-                for piece in detail():
+                for piece in answer():
                     handler.connection.sendall(piece)
             except OSError:  # the client hung up
                 self.hung_up.set()
             return
-        if kind == "cut":
-            linger = struct.pack("ii", 1, 0)  # reset the connection in the middle of the body
-            handler.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
-            handler.connection.sendall(b"HTTP/1.1 200 OK\r\ncontent-length: 999\r\n\r\n{")
-            handler.connection.close()
-            handler.close_connection = True
-            return
-        status, headers, body = detail if kind == "status" else (200, {}, "")
-        if kind == "body":
-            body = detail
-        elif kind in ("answer", "refusal"):
-            message: dict[str, Any] = {"role": "assistant", "content": detail}
-            if kind == "refusal":
-                message = {"role": "assistant", "content": None, "refusal": detail}
-            body = json.dumps(
-                {
-                    "id": "1",
-                    "object": "chat.completion",
-                    "choices": [{"index": 0, "message": message, "finish_reason": "stop"}],
-                    "usage": {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110},
-                }
-            )
+        status, headers, body = answer
         data = body.encode()
         try:
             handler.send_response(status)

@@ -15,11 +15,13 @@ import pytest
 from knotgym.common import Failed, InvalidInput, one_line
 from knotgym.prompting.chat import Chat, ChatConfig
 
-from .chat_server import Answer, ChatServer
+from .chat_server import Answer, ChatServer, completion
 
 pytest.importorskip("openai")
 KEY = "sk-test/+" + "51ec2e7" * 4
 WORDS = "I pull."
+REFUSAL = completion({"content": None, "refusal": "I can't"})
+OVERLOADED: Answer = (200, {}, '{"error": {"message": "overloaded"}}')
 
 
 @pytest.fixture(autouse=True)
@@ -43,26 +45,21 @@ def always(answer: Answer) -> Callable[[int, Any], Answer]:
     return lambda number, body: answer
 
 
-def body(message: Any, **more: Any) -> Answer:
-    return "body", json.dumps({"choices": [{"index": 0, "message": message, **more}]})
-
-
 @pytest.mark.parametrize(
     ("misdeed", "reason"),
     [
-        (("status", (500, {}, "oh")), "500"),
-        (("status", (429, {}, "{}")), "429"),
-        (("cut", None), "connection"),
-        (("slow", 1.5), "timeout"),
-        (("body", "{not json"), "malformed"),
-        (("body", '{"choices": []}'), "malformed"),
-        (("body", '{"error": {"message": "overloaded"}}'), "error"),
-        (body({"content": None}, finish_reason="error"), "error"),
-        (body({"content": "no"}, finish_reason="content_filter"), "refusal"),
-        (("refusal", "I can't"), "refusal"),
-        (body({"content": None, "reasoning_content": "<answer>"}, finish_reason="stop"), "empty"),
-        (body({"content": "<think>cut off in thought"}, finish_reason="length"), "empty"),
-        (body({"content": " "}, finish_reason="length"), "empty"),
+        ((500, {}, "oh"), "500"),
+        ((429, {}, "{}"), "429"),
+        (lambda: [b"HTTP/1.1 200 OK\r\ncontent-length: 999\r\n\r\n{"], "connection"),
+        ((200, {}, "{not json"), "malformed"),
+        ((200, {}, '{"choices": []}'), "malformed"),
+        (OVERLOADED, "error"),
+        (completion({"content": None}, "error"), "error"),
+        (completion({"content": "no"}, "content_filter"), "refusal"),
+        (REFUSAL, "refusal"),
+        (completion({"content": None, "reasoning_content": "<answer>"}), "empty"),
+        (completion({"content": "<think>cut off in thought"}, "length"), "empty"),
+        (completion({"content": " "}, "length"), "empty"),
     ],
 )
 def test_a_request_that_fails_is_sent_again_and_counted(misdeed: Answer, reason: str) -> None:
@@ -85,20 +82,20 @@ def test_a_request_that_fails_is_sent_again_and_counted(misdeed: Answer, reason:
     ],
 )
 def test_only_what_a_model_says_at_last_is_its_answer(content: Any, text: str) -> None:
-    reply, _ = asked(always(body({"content": content}, finish_reason="stop")))
+    reply, _ = asked(always(completion({"content": content})))
     assert (reply.text, reply.finish) == (text, "stop")
 
 
 @pytest.mark.parametrize("field", ["reasoning_content", "reasoning"])
 def test_an_empty_answer_keeps_its_reasoning(field: str) -> None:
     message = {"content": None, field: "so <answer></answer>"}
-    reply, server = asked(always(body(message, finish_reason="stop")))
+    reply, server = asked(always(completion(message)))
     assert (reply.fault, reply.text, reply.reasoning) == ("empty", "", "so <answer></answer>")
     assert reply.retries == {"empty": 2} and len(server.requests) == 3
 
 
 def test_other_marks_of_drafts_can_be_named() -> None:
-    answer = always(body({"content": "<plan>a</plan>b"}, finish_reason="stop"))
+    answer = always(completion({"content": "<plan>a</plan>b"}))
     reply, _ = asked(answer, drafts=("<plan>...</plan>",))
     assert (reply.text, reply.reasoning) == ("b", "a")
     assert asked(answer)[0].text == "<plan>a</plan>b"
@@ -126,18 +123,18 @@ def test_further_fields_are_sent_as_given() -> None:
 
 def test_choices_may_come_in_any_order() -> None:
     first, second = ({"index": k, "message": {"content": str(k)}} for k in (0, 1))
-    reply, _ = asked(always(("body", json.dumps({"choices": [second, first]}))))
+    reply, _ = asked(always((200, {}, json.dumps({"choices": [second, first]}))))
     assert reply.text == "0"
 
 
 def test_a_model_that_goes_on_refusing_has_answered_so() -> None:
-    reply, _ = asked(always(("refusal", "I can't")))
+    reply, _ = asked(always(REFUSAL))
     assert (reply.fault, reply.text, reply.retries) == ("refusal", "I can't", {"refusal": 2})
     assert reply.prompt_tokens == 300  # all three were paid for
 
 
 def test_a_server_that_never_answers_ends_the_run_with_its_reason() -> None:
-    error, server = asked(always(("body", '{"error": {"message": "overloaded"}}')))
+    error, server = asked(always(OVERLOADED))
     assert isinstance(error, Failed) and "3 attempts" in str(error)
     assert "overloaded" in str(error) and len(server.requests) == 3
 
@@ -153,7 +150,7 @@ def test_a_server_that_never_answers_ends_the_run_with_its_reason() -> None:
     ],
 )
 def test_a_rejected_request_is_a_refusal(status: int, error: dict[str, str]) -> None:
-    reply, server = asked(always(("status", (status, {}, json.dumps({"error": error})))))
+    reply, server = asked(always((status, {}, json.dumps({"error": error}))))
     assert (reply.fault, reply.text, len(server.requests)) == ("refusal", "", 1)
     said = f"{status} {error.get('code', error.get('type'))}: {error['message']}"
     assert reply.rejected == one_line(said)
@@ -163,7 +160,7 @@ def test_a_rejected_request_is_a_refusal(status: int, error: dict[str, str]) -> 
 @pytest.mark.parametrize("status", [401, 403, 404])
 def test_a_server_that_rejects_the_key_or_the_model_is_not_asked_again(status: int) -> None:
     told = json.dumps({"error": {"message": f"bad key {KEY}"}})
-    error, server = asked(always(("status", (status, {}, told))))
+    error, server = asked(always((status, {}, told)))
     assert isinstance(error, InvalidInput) and len(server.requests) == 1
     assert str(status) in str(error) and KEY not in str(error) and "[key]" in str(error)
 
@@ -196,13 +193,13 @@ def flood() -> Iterator[bytes]:
     ids=["body", "error body", "headers"],
 )
 def test_an_attempt_ends_in_time_however_slowly_bytes_drip(first: bytes) -> None:
-    reply, _ = asked(lambda number, body: WORDS if number else ("raw", drip(first)))
+    reply, _ = asked(lambda number, body: WORDS if number else drip(first))
     # at the end of the drip it would be a lost connection
     assert reply.text == WORDS and reply.retries == {"timeout": 1}
 
 
 def test_a_reply_without_end_is_hung_up_on() -> None:
-    reply, server = asked(lambda number, body: WORDS if number else ("raw", flood))
+    reply, server = asked(lambda number, body: WORDS if number else flood)
     assert reply.text == WORDS and reply.retries == {"connection": 1}
     assert server.hung_up.wait(5)
 
@@ -212,7 +209,7 @@ def test_compressed_bytes_are_not_expanded() -> None:
     head = "HTTP/1.1 500 Oh\r\ncontent-encoding: gzip\r\ncontent-length: "
     bomb = f"{head}{len(packed)}\r\n\r\n".encode() + packed
     tracemalloc.start()
-    reply, _ = asked(lambda number, body: WORDS if number else ("raw", lambda: [bomb]))
+    reply, _ = asked(lambda number, body: WORDS if number else (lambda: [bomb]))
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert reply.retries == {"500": 1} and most < 10_000_000
@@ -221,7 +218,7 @@ def test_compressed_bytes_are_not_expanded() -> None:
 def test_the_key_is_not_sent_to_where_a_server_redirects() -> None:
     other = ChatServer(always(WORDS))
     with other.serving():
-        moved = ("status", (302, {"location": f"{other.url}/chat/completions"}, ""))
+        moved = (302, {"location": f"{other.url}/chat/completions"}, "")
         error, _ = asked(always(moved))
     assert isinstance(error, InvalidInput) and "302" in str(error) and not other.requests
 
@@ -236,9 +233,10 @@ def test_a_local_server_is_not_reached_through_a_proxy(monkeypatch: pytest.Monke
 
 
 def test_the_key_is_blotted_in_answers_refusals_and_errors() -> None:
-    error, _ = asked(always(("status", (401, {}, f"<p>{KEY}</p>"))))
+    error, _ = asked(always((401, {}, f"<p>{KEY}</p>")))
     assert isinstance(error, InvalidInput)
-    texts = [str(error), *(asked(always(a))[0].text for a in (KEY, ("refusal", KEY)))]
+    refusal = completion({"content": None, "refusal": KEY})
+    texts = [str(error), *(asked(always(a))[0].text for a in (KEY, refusal))]
     for text in texts:
         assert "[key]" in text and KEY not in text
 

@@ -20,7 +20,7 @@ from knotgym.prompting.transcripts import _read_transcripts, reading_scores, sho
 from knotgym.runs import RunOptions
 
 from ..small_job import staging_of
-from .chat_server import Answer, ChatServer, hashes, kinds
+from .chat_server import Answer, ChatServer, completion, hashes, kinds
 
 pytest.importorskip("openai")
 KEY = "sk-test/+" + "51ec2e7" * 4
@@ -105,9 +105,8 @@ def test_wrong_answers_are_counted_apart_and_leave_the_rope_alone(tmp_path: Path
 def test_truncation_reasoning_and_unknown_usage_stand_in_transcript_and_summary(
     tmp_path: Path,
 ) -> None:
-    message = {"index": 0, "message": {"content": PULL, "reasoning_content": "so"}}
-    body = {"choices": [message | {"finish_reason": "length"}], "usage": None}
-    server = ChatServer(always(("body", json.dumps(body))))
+    cut_off = completion({"content": PULL, "reasoning_content": "so"}, "length", usage=None)
+    server = ChatServer(always(cut_off))
     ((told,), result) = played(server, tmp_path / "run", "open")
     (turn,) = told["turns"]
     assert (turn["finish"], turn["reasoning"], result["truncated"]) == ("length", "so", 1)
@@ -119,7 +118,7 @@ def test_a_run_is_resumed_and_the_key_is_nowhere(tmp_path: Path) -> None:
 
     def answer(number: int, body: Any) -> Answer:
         if broken[0] and number >= 6:
-            return ("status", (500, {}, f"the key {KEY} is bad"))
+            return (500, {}, f"the key {KEY} is bad")
         return f"\ud83d{PULL} {KEY}" if number % 3 else NAN
 
     server, out = ChatServer(answer), tmp_path / "run"
@@ -155,7 +154,7 @@ FILTERED: Any = (400, {}, json.dumps({"error": {"message": "no", "code": "conten
 
 
 def test_a_rejected_request_counts_as_a_refusal_and_the_run_goes_on(tmp_path: Path) -> None:
-    server = ChatServer(lambda number, body: PULL if number % 4 else ("status", FILTERED))
+    server = ChatServer(lambda number, body: PULL if number % 4 else FILTERED)
     (told, result) = played(server, tmp_path / "run", episodes=2)
     assert result["answers"] == {"valid": 6, "refusal": 2}
     assert result["rejected"] == {"400 content_filter": 2}
@@ -168,7 +167,7 @@ def test_a_server_that_rejects_every_request_ends_the_run_until_restarted(tmp_pa
     mended = [False]
 
     def answer(number: int, body: Any) -> Answer:
-        return PULL if mended[0] else ("status", FILTERED)
+        return PULL if mended[0] else FILTERED
 
     server, out = ChatServer(answer), tmp_path / "run"
     with server.serving():

@@ -6,14 +6,9 @@ from numpy.typing import NDArray
 
 from knotgym.datasets import locate, summary
 from knotgym.rope import Rope
-from knotgym.states.near_duplicates import (
-    Spectra,
-    _bare_stretch,
-    _visit_distance,
-    distances,
-    spread_of,
-)
+from knotgym.states.near_duplicates import _bare_stretch, _visit_distance, distances, spread_of
 from knotgym.states.state_file import read_states
+from knotgym.topology import Symmetry
 
 from ..conftest import curled
 
@@ -25,8 +20,7 @@ def circle(radius: float, lift: float = 0.0) -> NDArray[np.float64]:
 
 
 def turned(points: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.asarray(points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + (0.3, -0.2, 0.1))
+    return Symmetry(turn=angle).vertices(points) + (0.3, -0.2, 0.1)
 
 
 def test_circles_are_as_far_from_each_other_as_their_radii_differ() -> None:
@@ -43,15 +37,6 @@ def test_a_circle_walked_the_other_way_from_elsewhere_is_the_same_shape() -> Non
     found = spread_of(np.array([circle(0.2), other]))
     assert found["distance"] == pytest.approx((0.2 * 2**0.5, 0.2 * 2**0.5))
     assert found["shape"] == pytest.approx((0.0, 0.0), abs=1e-8)
-
-
-def test_shapes_are_as_far_apart_as_at_the_best_of_all_walks(rope: Rope) -> None:
-    one, other = rope.from_curve(curled(2)), rope.from_curve(curled(3))
-    walks = [np.roll(way, k, axis=0) for way in (other, other[::-1]) for k in range(100)]
-    best = distances(one, np.array(walks)).min()
-    a, b = Spectra.of(one[None]), Spectra.of(other[None])
-    assert a.pair_distances(b, mirrors=False)[0] == pytest.approx(best)
-    assert b.pair_distances(a, mirrors=False)[0] == pytest.approx(best)
 
 
 def test_visits_are_as_far_apart_as_the_curls(rope: Rope) -> None:
