@@ -39,7 +39,7 @@ from knotgym.rendering import APPEARANCES
 from knotgym.states import write_states
 
 from .scripts import ROOT
-from .small_job import knotgym as knotgym_command
+from .small_job import knotgym as typed
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
@@ -47,10 +47,6 @@ MOST_PAGES = 33  # of the site; what few need is in notes/
 
 Rows = list[list[str]]
 ID = "knotgym/tie-nx2/expert-v0"  # the dataset that the pages load
-
-needs_arrow = pytest.mark.skipif(
-    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
-)
 
 
 def page_name(page: Path) -> str:
@@ -89,19 +85,6 @@ def blocks(page: Path) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
-def datasets_of(group: h5py.Group) -> dict[str, h5py.Dataset]:
-    found: dict[str, h5py.Dataset] = {}
-    group.visititems(
-        lambda name, item: found.update({name: item}) if isinstance(item, h5py.Dataset) else None
-    )
-    return found
-
-
-def typed(*words: object) -> None:
-    """Type a `knotgym` command."""
-    assert knotgym_command(*words) == 0
-
-
 @pytest.fixture(scope="module")
 def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Minari root with the one dataset that the pages load, and all that may be stored in one."""
@@ -122,17 +105,6 @@ def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
     labelled = Table(STEPS.sized(**sizes), {**steps, "expert_action": steps["action"]})
     publish([Episodes(rows, labelled)], tiny.task, metadata, root, facts=facts)
     return root
-
-
-@pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four pictures."""
-    folder = tmp_path_factory.mktemp("made") / "pictures"
-    typed(
-        *("images", "--nx", "0,1", "--count", 4, "--set", "test_nx=none", "--set", "code_share=0"),
-        *("--workers", 1, "--quiet", "--out", folder),
-    )
-    return folder
 
 
 def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,10 +145,12 @@ def test_the_blocks_of_a_page_run(
 
 
 @pytest.mark.clients
-@needs_arrow
-def test_the_blocks_that_read_pictures_run(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_blocks_that_read_pictures_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
-    monkeypatch.chdir(pictures.parent)
+    pytest.importorskip("pyarrow")
+    monkeypatch.chdir(tmp_path)
+    few = "images --nx 0,1 --count 4 --set test_nx=none --set code_share=0 --workers 1 --quiet"
+    assert typed(*few.split(), "--out", "pictures") == 0
     for page in ("data.md", "formats/images.md"):
         for block in blocks(DOCS / page):
             if ELSEWHERE[Path(page).name] in block:
@@ -198,18 +172,14 @@ def test_every_page_is_in_the_navigation() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_links_lead_to_files(page: Path) -> None:
-    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
-    for target in re.findall(r"\]\(([^)]+)\)", text):
+def test_links_lead_to_files_and_files_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)]+)\)", re.sub(r"```.*?```", "", text, flags=re.S)):
         if not target.startswith(("https://", "#")):
             assert (page.parent / target.partition("#")[0]).exists(), target
-
-
-@pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_files_that_are_named_exist(page: Path) -> None:
     named = re.findall(
         r"`((?:knotgym|tests|benchmarks|examples|docs)/[\w./-]*(?:\.\w+|/))[`:](?! at 44bef3e)",
-        page.read_text(encoding="utf-8"),
+        text,
     )
     assert [path for path in named if not (ROOT / path).exists()] == []
 
@@ -279,8 +249,12 @@ def test_the_episode_file_is_as_its_page_says(minari: Path) -> None:
         assert names(said["Attributes of the file"]) - own == {*file.attrs} - own
     with h5py.File(minari / ID / "data/main_data.hdf5") as file:
         assert names(said["Attributes of an episode"]) == {*file["episode_0"].attrs}
-        found = {re.sub("/macro_.*", "/macro_*", name) for name in datasets_of(file["episode_0"])}
-        assert found <= names(said["Datasets of an episode"])
+        found = list[str]()
+        file["episode_0"].visititems(
+            lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
+        )
+        named = {re.sub("/macro_.*", "/macro_*", name) for name in found}
+        assert named and named <= names(said["Datasets of an episode"])
 
 
 def test_minari_s_metadata_are_as_their_page_says(minari: Path) -> None:

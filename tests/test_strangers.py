@@ -62,9 +62,7 @@ def test_a_link_planted_in_a_folder_is_not_followed(
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
-def test_a_set_shares_no_file_with_the_states_it_was_made_from(
-    states_path: str, tmp_path: Path
-) -> None:
+def test_a_set_shares_no_file_with_its_states(states_path: str, tmp_path: Path) -> None:
     words = f"collect {PLAY} --policy random --episodes 1 --set task.horizon=2 --id a/b-v0"
     assert typed(*words.split(), "--states", states_path, "--out", tmp_path) == 0
     made = tmp_path / "a" / "b-v0"
@@ -130,9 +128,7 @@ def test_a_selection_of_another_form_is_one_line(
     assert [one.name for one in tmp_path.iterdir()] == ["set.h5"]
 
 
-def test_a_state_file_is_not_by_vertices_because_it_says_so(
-    states_path: str, tmp_path: Path
-) -> None:
+def test_a_state_file_is_not_by_vertices_as_it_says(states_path: str, tmp_path: Path) -> None:
     write_states(tmp_path / "a.h5", read_states(states_path).replaced({}, form="vertices"))
     found = knotgym.verify(tmp_path / "a.h5")
     assert any("quality/margin is missing" in fault for fault in found)
@@ -165,9 +161,7 @@ def test_states_that_a_file_names_elsewhere_are_not_published(
     assert "SHA-256" in line and not (tmp_path / "out").exists()
 
 
-def test_an_id_of_a_stranger_names_no_place_for_an_export(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_id_names_no_folder_to_write(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     dataset = open_episodes(TINY["random"])
     metadata = {**(dataset.metadata or {}), "dataset_id": "a/b-x/../../../c"}
     facts = {**dataset.facts, "metadata": metadata}

@@ -18,9 +18,7 @@ SMALL: dict[str, Any] = {"nx": 1, "horizon": 4, "image_size": 36}
 
 @pytest.mark.clients
 @pytest.mark.parametrize("observation", ["pixels", "state", "both", "symbolic", "goals"])
-def test_steps_are_those_of_its_own_class_over_single_environments(
-    states_path: str, observation: str
-) -> None:
+def test_steps_are_those_of_single_environments(states_path: str, observation: str) -> None:
     library = pytest.importorskip("stable_baselines3.common.vec_env")
     goals = observation == "goals"
     settings = {**SMALL, "states": states_path, "observation": "state" if goals else observation}
@@ -81,9 +79,7 @@ def test_her_hands_out_no_success_for_the_code_an_episode_began_with(states_path
         ("SAC", "MlpPolicy", "state"),
     ],
 )
-def test_its_algorithms_train(
-    states_path: str, algorithm: str, policy: str, observation: str
-) -> None:
+def test_algorithms_train(states_path: str, algorithm: str, policy: str, observation: str) -> None:
     sb3 = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.evaluation import evaluate_policy
     from stable_baselines3.common.vec_env import VecMonitor

@@ -311,9 +311,7 @@ def test_what_user_code_does_wrong_is_one_line_that_names_it(name: str, says: st
     assert "\n" not in str(refused.value) and "own:" in str(refused.value)
 
 
-def test_a_module_in_the_current_folder_is_found_with_its_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_is_found_with_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = 'FILES = ["weights"]\ndef act(observation):\n    return [0] * 6\n'
     (tmp_path / "left_alone.py").write_text(code)
     (tmp_path / "weights").write_bytes(b"1")
@@ -327,9 +325,7 @@ def test_a_module_in_the_current_folder_is_found_with_its_files(
     }
 
 
-def test_a_module_that_exits_is_an_invalid_policy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_that_exits_is_no_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "leaves_at_once.py").write_text("import sys\nsys.exit()\n")
     monkeypatch.chdir(tmp_path)
     for call in (make_policy, PolicyConfig.files):
@@ -353,9 +349,7 @@ def test_a_recording_is_recognized_by_start_and_goal(tmp_path: Path) -> None:
 # the registry
 
 
-def test_a_registered_policy_is_made_by_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_registered_policy_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(policies, "_table", dict(policies._table))
     weights = tmp_path / "weights"
     weights.write_bytes(b"weights")

@@ -153,9 +153,7 @@ def test_hindsight_cuts_macro_actions_where_the_goal_is_reached(played: Path) ->
     assert np.array_equal(macro.observations(0), pull.observations(0)[ends])
 
 
-def test_a_dataset_without_macro_actions_is_refused(
-    task: TaskConfig, played: Path, tmp_path: Path
-) -> None:
+def test_absent_macro_actions_are_refused(task: TaskConfig, played: Path, tmp_path: Path) -> None:
     pulls = replace(task, action="pull", horizon=2)
     write_episodes(
         tmp_path / "pulls.h5", [rollouts(make_policy(PolicyConfig()), pulls, [0])], pulls

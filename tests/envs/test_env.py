@@ -366,9 +366,7 @@ def test_stacked_pictures_have_the_goals_channels_last(make: Make, observation: 
 
 
 @pytest.mark.parametrize("observation", MODES)
-def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(
-    make: Make, observation: str
-) -> None:
+def test_a_blown_up_simulation_ends_the_episode_unseen(make: Make, observation: str) -> None:
     env = make("tie", observation=observation)
     seen = env.reset(seed=0)[0]
     blow_up(env.episodes.simulation)
@@ -470,7 +468,7 @@ def test_a_registered_task_is_played_as_its_crossings_say() -> None:
 SHORT: dict[str, Any] = {"engine": "chain", "observation": "state", "horizon": 4}
 
 
-def test_a_spec_survives_json_and_says_after_how_many_steps_episodes_end(
+def test_a_spec_survives_json_with_its_horizon(
     registered: Callable[..., gym.Env[Any, Any]],
 ) -> None:
     settings: dict[str, Any] = {"nx": 3, "split": "test", "reset_noise": 0.01, "action": "bead"}

@@ -45,9 +45,7 @@ def test_a_tie_whose_only_goal_is_its_start_is_refused(path: str) -> None:
 
 
 @pytest.mark.parametrize(("task", "nx"), [("unknot", 3), ("unknot", 4), ("convert", 3)])
-def test_what_no_pull_reaches_is_refused_with_what_the_file_has(
-    path: str, task: str, nx: int
-) -> None:
+def test_what_no_pull_reaches_is_refused_with_what_is_there(path: str, task: str, nx: int) -> None:
     with pytest.raises(InvalidInput, match=r"nx 3 \(train, test\), 4 .* of 3_1"):
         made(task, path, nx=nx)
 

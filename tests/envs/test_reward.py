@@ -47,9 +47,7 @@ def test_the_rule(
         assert tuple(column.item() for column in found) == expected
 
 
-def test_a_reward_changed_in_its_function_is_changed_everywhere(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_reward_is_changed_in_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     before = reward.reward
 
     def dearer(task: TaskConfig, seen: Situation) -> Any:

@@ -108,7 +108,7 @@ def test_steps_and_autoresets_are_those_of_single_environments(
     assert ended >= 6
 
 
-def test_ropes_end_and_start_over_at_steps_of_their_own(
+def test_ropes_end_and_start_over_alone(
     make: MakeVec, synced: Callable[..., SyncVectorEnv]
 ) -> None:
     envs, singles = make(horizon=3), synced(horizon=3)
@@ -185,9 +185,7 @@ def test_a_step_needs_every_rope_to_have_been_reset(make: MakeVec) -> None:
         envs.step(np.zeros((3, 6), np.float32))
 
 
-def test_a_pickled_vector_environment_goes_on_as_the_first_and_infos_are_copies(
-    make: MakeVec,
-) -> None:
+def test_a_pickled_vector_environment_goes_on_and_infos_are_copies(make: MakeVec) -> None:
     envs = make(horizon=3)
     envs.reset(seed=0)
     first = envs.step(actions(3, 1)[0])
@@ -213,9 +211,7 @@ def test_the_autoreset_mode_stands_in_the_metadata(make: MakeVec, mode: str) -> 
     assert KnotVectorEnv.metadata["autoreset_mode"] == known("NextStep")
 
 
-def test_gymnasium_1_0_which_has_no_such_class_is_enough(
-    states_path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gymnasium_1_0_is_enough(states_path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(gym.vector, "AutoresetMode", raising=False)
     own = runpy.run_path(str(inspect.getsourcefile(KnotVectorEnv)))  # its lines, run once more
     envs = own["KnotVectorEnv"]("tie", states=states_path, observation="state")

@@ -77,9 +77,7 @@ def test_a_harmed_checkpoint_is_refused_in_one_line(
     assert str(refused.value).isprintable()
 
 
-def test_a_clone_is_as_large_as_its_weights_whatever_its_card_says(
-    clone: Path, tmp_path: Path
-) -> None:
+def test_a_clone_is_as_large_as_its_weights_say(clone: Path, tmp_path: Path) -> None:
     from knotgym.learn.clone_policy import load_clone
 
     copy = shutil.copytree(clone, tmp_path / "copy")

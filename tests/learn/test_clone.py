@@ -129,9 +129,7 @@ def test_examples_lead_where_they_say_in_any_frame_and_numbering() -> None:
     assert works > 0.6 and works > in_vain + 0.2
 
 
-def test_a_device_that_is_not_there_is_refused_before_any_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_absent_device_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     with pytest.raises(InvalidInput, match="needs a GPU"):
         train([], tmp_path / "none", replace(CLONE, demonstrations=1, device="cuda"))

@@ -64,7 +64,7 @@ def test_it_acts_on_pictures_alone_and_the_same_every_time(learner: Path, shown:
     assert np.array_equal(acted, actions(learner, shown))
 
 
-def test_its_networks_run_on_one_thread(
+def test_networks_use_one_thread(
     learner: Path, shown: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import torch
@@ -98,9 +98,7 @@ def test_its_networks_run_on_one_thread(
         ({"hold": 2}, "hold 2 instead of 1"),
     ],
 )
-def test_a_task_whose_pictures_are_others_is_refused(
-    learner: Path, setting: dict[str, Any], message: str
-) -> None:
+def test_other_pictures_are_refused(learner: Path, setting: dict[str, Any], message: str) -> None:
     policy = make_policy(PolicyConfig(policy=str(learner)))
     with pytest.raises(InvalidPolicy, match=message):
         policy.compatible_task(replace(TASK, **setting))

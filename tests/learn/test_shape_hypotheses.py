@@ -56,9 +56,7 @@ def tracked() -> tuple[ShapeHypotheses, TwoReadings]:
     return ShapeHypotheses(reader, chain, np.zeros((1, 3)), rng), reader
 
 
-def test_motion_tells_a_rope_from_its_mirror_image(
-    tracked: tuple[ShapeHypotheses, TwoReadings],
-) -> None:
+def test_motion_tells_a_rope_from_its_mirror(tracked: tuple[ShapeHypotheses, TwoReadings]) -> None:
     hypotheses, reader = tracked
     picture = np.zeros((128, 128, 3), dtype=np.uint8)
     hypotheses.start(picture)

@@ -27,9 +27,7 @@ pytest.importorskip("safetensors")
 
 
 @pytest.mark.parametrize("config", [READER, CLONE], ids=["reader", "clone"])
-def test_an_interrupted_training_ends_with_the_same_weights(
-    config: Any, data: Path, tmp_path: Path, request: Any
-) -> None:
+def test_training_may_be_interrupted(config: Any, data: Path, tmp_path: Path, request: Any) -> None:
     whole = request.getfixturevalue("learner" if config is READER else "clone")
     out = tmp_path / "broken"
     break_off([data], out, config)
@@ -170,7 +168,7 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
 
 
 @pytest.mark.parametrize("what", ["macro-actions", "success", "states"])
-def test_a_training_is_not_resumed_with_another_file(
+def test_training_is_not_resumed_with_other_files(
     what: str, played: Episodes, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"

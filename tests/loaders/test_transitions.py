@@ -163,9 +163,7 @@ def test_a_changed_cut_or_linked_cache_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_sets_of_equal_pulls_and_other_states_share_no_pictures(
-    made: Episodes, path: Path, tmp_path: Path
-) -> None:
+def test_sets_of_other_states_share_no_pictures(made: Episodes, path: Path, tmp_path: Path) -> None:
     moved = made.steps.replaced(observation=np.roll(made.steps["observation"], 9, axis=1))
     goals = made.episodes.replaced(goal_points=made.episodes["goal_points"][::-1])
     others = made._replace(steps=moved), made._replace(episodes=goals)
@@ -220,9 +218,7 @@ def test_a_reward_that_changes_and_keeps_what_it_is_given_changes_no_column() ->
     np.testing.assert_array_equal(own["goal_points"], before[1])
 
 
-def test_an_empty_dataset_loads_empty_and_a_recording_is_refused(
-    tmp_path: Path, made: Episodes
-) -> None:
+def test_an_empty_dataset_is_empty_and_a_recording_refused(tmp_path: Path, made: Episodes) -> None:
     with pytest.raises(InvalidInput, match="recording"):
         arrays(written(tmp_path / "r.h5", made.recording()))
     path = written(tmp_path / "a.h5", made.select([]))
@@ -271,9 +267,7 @@ def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, wo
 
 @clients
 @needs("tensordict")
-def test_a_tensordict_holds_every_transition_in_memory_or_mapped(
-    path: Path, tmp_path: Path
-) -> None:
+def test_a_tensordict_holds_all_transitions_in_memory_or_mapped(path: Path, tmp_path: Path) -> None:
     held = arrays(path)
     for data in (to_tensordict(path), to_tensordict(path, folder=tmp_path / "td")):
         assert data.batch_size == (N,)

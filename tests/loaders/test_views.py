@@ -83,9 +83,7 @@ def test_decisions_are_whole_or_say_that_they_are_not() -> None:
         np.testing.assert_allclose(batch["actions"][k, :3], 3 * place, atol=1e-6)
 
 
-def test_a_model_acts_the_same_in_any_number_of_lanes_and_may_reuse_its_array(
-    played_back: Any,
-) -> None:
+def test_a_model_acts_the_same_in_any_lanes_and_may_reuse_its_array(played_back: Any) -> None:
     weights, kept = np.random.default_rng(0).normal(size=(609, 43)), np.zeros((32, 43))
 
     def linear(seen: np.ndarray) -> Any:

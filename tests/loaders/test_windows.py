@@ -202,9 +202,7 @@ def test_every_number_of_a_window_equals_a_slow_reference(
     geom=st.booleans(),
     seed=st.integers(0, 2**32),
 )
-def test_a_goal_of_the_trajectory_lies_ahead_in_it(
-    lengths: list[int], geom: bool, seed: int
-) -> None:
+def test_a_goal_of_the_trajectory_lies_ahead(lengths: list[int], geom: bool, seed: int) -> None:
     sampling = GoalSampling(p_currgoal=0, p_trajgoal=1, p_randomgoal=0, geom_sample=geom)
     ends = np.cumsum(np.array(lengths) + 1) - 1
     states = np.concatenate([np.arange(e - n, e) for e, n in zip(ends, lengths, strict=True)])

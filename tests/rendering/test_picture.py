@@ -24,6 +24,7 @@ from knotgym.topology import find_crossings
 from ..scripts import ROOT
 
 Points = NDArray[np.float64]
+Image = NDArray[np.uint8]
 LOOP = Rope().loop()  # 0.2 m wide, flat
 
 
@@ -67,7 +68,7 @@ def curves() -> Points:
     return made
 
 
-def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
+def traced(points: Points, config: PictureConfig) -> Image:
     """Draw the orthographic picture by brute force: the highest capsule on each sample's ray."""
     samples = 4
     side = config.size * samples
@@ -107,9 +108,7 @@ def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
     return np.asarray(np.rint(blocks.mean(axis=(1, 3))), dtype=np.uint8)
 
 
-def differences(
-    one: NDArray[np.uint8], other: NDArray[np.uint8]
-) -> tuple[float, float, float, float]:
+def differences(one: Image, other: Image) -> tuple[float, float, float, float]:
     """Return the mean absolute difference of the rope's pixels, and the fraction of them that
     differ by more than 64 levels.
     """
@@ -125,7 +124,7 @@ def differences(
     )
 
 
-def white(beads: int) -> NDArray[np.uint8]:
+def white(beads: int) -> Image:
     return np.full((beads, 3), 255, dtype=np.uint8)
 
 
@@ -320,7 +319,7 @@ def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
 
     config = PictureConfig(size=64, renderer="mujoco")
     first = draw(LOOP, config)
-    drawn: list[NDArray[np.uint8]] = []
+    drawn: list[Image] = []
 
     def work() -> None:
         drawn.append(draw(LOOP, config))

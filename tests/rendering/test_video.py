@@ -20,9 +20,7 @@ FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 
 @pytest.mark.parametrize(
     ("name", "codec"), [("a.gif", ""), ("a.mp4", "h264"), ("a.webm", "vp9"), ("a.MP4", "h264")]
 )
-def test_a_film_shows_what_it_was_given_at_the_speed_of_the_rope(
-    tmp_path: Path, name: str, codec: str
-) -> None:
+def test_a_film_shows_its_frames_at_the_rope_s_speed(tmp_path: Path, name: str, codec: str) -> None:
     Film(tmp_path / name).write(FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     film = cv2.VideoCapture(str(tmp_path / name))
@@ -38,9 +36,7 @@ def test_a_film_shows_what_it_was_given_at_the_speed_of_the_rope(
             assert stream.average_rate == FRAMES_PER_SECOND
 
 
-def test_a_film_that_needs_pyav_names_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_films_without_pyav_name_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(MissingExtra, match=r"pip install '\.\[video\]'"):
         Film(tmp_path / "a.mp4").write(FRAMES)
@@ -58,9 +54,7 @@ def test_a_frame_shows_the_pull_and_says_the_plain_loop() -> None:
     assert 60 < np.ptp(moved[:, 0]) < 100 and np.ptp(moved[:, 1]) < 40
 
 
-def test_a_frame_names_its_halves_and_has_both_codes_in_one_notation(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_frame_names_its_halves_and_their_codes(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr("cv2.putText", lambda frame, text, *_: said.append(text))
     Film.frame(Rope().loop(), Rope().from_curve(curled(1)), "step 0 of 1")

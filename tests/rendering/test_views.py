@@ -88,9 +88,7 @@ def test_at_a_crossing_depth_is_that_of_the_over_strand() -> None:
 
 
 @pytest.mark.parametrize("camera", ["orthographic", "perspective"])
-def test_what_is_farther_off_than_the_levels_reach_has_the_last(
-    camera: Literal["orthographic", "perspective"],
-) -> None:
+def test_beyond_the_levels_is_the_last(camera: Literal["orthographic", "perspective"]) -> None:
     config = PictureConfig(camera=camera, view=0.1, zoom=0.2, depth=True)
     depth = draw(spread(), config)[..., 3]
     assert depth.max() == 255 and depth[depth > 0].min() == 1

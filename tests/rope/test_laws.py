@@ -201,9 +201,7 @@ def turned(qpos: Array, rope: Rope, turn: Array) -> Array:
 
 
 @pytest.mark.parametrize(("kind", "most"), [(ChainSimulation, 1e-9), (MujocoSimulation, 1e-4)])
-def test_a_rope_rotated_and_pulled_alike_stays_a_rotated_copy(
-    rope: Rope, kind: type[Simulation], most: float
-) -> None:
+def test_rotated_ropes_stay_rotated_copies(rope: Rope, kind: type[Simulation], most: float) -> None:
     # most: rounding of 1e-16 that grows by the engines' conditioning; MuJoCo's solver (PGS) takes
     # a fixed number of sweeps over its closures and stops short of them
     turn = np.array([0.5, 0.5, -0.1, 0.7])

@@ -63,9 +63,7 @@ def test_ropes_that_start_together_start_as_they_would_alone(states: States, rop
     assert np.array_equal(started(rows), np.concatenate([started([row]) for row in rows]))
 
 
-def test_no_noise_and_a_code_that_none_keeps_leave_the_row_as_it_is(
-    states: States, rope: Rope
-) -> None:
+def test_no_noise_and_a_code_that_none_keeps_leave_the_row(states: States, rope: Rope) -> None:
     own, other = (label(states.points[row]) for row in (0, -1))
     assert other != own
     for code, scale in ((other, 0.015), (own, 0.0)):

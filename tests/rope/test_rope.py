@@ -50,9 +50,7 @@ class Rubbing(RopeConfig):
     friction: NonNegativeFloat = 0.0
 
 
-def test_a_new_parameter_leaves_files_readable_where_it_changes_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_neutral_new_parameter_leaves_files_readable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RopeConfig, "of", Rubbing.of)
     assert isinstance(RopeConfig.of(100), Rubbing)
     assert RopeConfig.of(100).fingerprint == read_states(shipped()).attributes["rope"] == PUBLISHED
@@ -96,9 +94,7 @@ def test_vertices_are_mujocos_body_positions(rope: Rope, tangled: NDArray[np.flo
         assert np.abs(rope.points(data.qpos) - data.xpos[rope.bodies]).max() < 1e-12
 
 
-def test_points_come_back_from_qpos_one_by_one_and_together(
-    rope: Rope, tangled: NDArray[np.float64]
-) -> None:
+def test_points_come_back_from_qpos(rope: Rope, tangled: NDArray[np.float64]) -> None:
     many = rope.points(tangled.reshape(2, 20, -1))
     assert many.shape == (2, 20, 100, 3)
     for points, qpos in zip(many.reshape(40, 100, 3), tangled, strict=True):
@@ -172,9 +168,7 @@ def test_every_smooth_curve_becomes_equal_beads(seed: int, modes: int) -> None:
         (trefoil() * [1, 1, 0], "beads would overlap by 10.0 mm"),
     ],
 )
-def test_what_is_no_rope_is_refused_in_one_line(
-    rope: Rope, curve: NDArray[np.float64], message: str
-) -> None:
+def test_what_is_no_rope_is_refused(rope: Rope, curve: NDArray[np.float64], message: str) -> None:
     with pytest.raises(InvalidInput, match=message) as caught:
         rope.from_curve(curve)
     assert "\n" not in str(caught.value)

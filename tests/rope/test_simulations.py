@@ -53,9 +53,7 @@ def nine(engine: str) -> Array:
 
 
 @pytest.mark.parametrize(("count", "threads"), [(1, 1), (3, 3), (6, 2), (9, 0)])
-def test_states_are_the_same_bytes_in_any_company_on_any_threads(
-    engine: str, nine: Array, count: int, threads: int
-) -> None:
+def test_no_company_changes_a_state(engine: str, nine: Array, count: int, threads: int) -> None:
     assert np.array_equal(moved(laid(engine, count, threads), 3), nine[:count])
 
 
@@ -152,9 +150,7 @@ def test_an_action_pulls_the_nearest_bead_where_it_says(engine: str) -> None:
     assert 0.02 < ropes.points[0, 30, 2] - before[2] < 0.06
 
 
-def test_a_rope_whose_state_is_not_finite_is_told_and_its_neighbours_move_as_ever(
-    engine: str,
-) -> None:
+def test_a_rope_that_is_not_finite_is_told_and_its_neighbours_move_on(engine: str) -> None:
     ropes, other = laid(engine, 3), laid(engine, 3)
     states = ropes.states([1])
     states[:, 40:60] = np.nan

@@ -66,9 +66,7 @@ def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:
     assert not TowBound(TowBound.centres(points[:1]), LIMIT).exceeded(points).any()
 
 
-def test_verify_names_an_episode_that_went_on_beyond_the_bound(
-    towed: Episodes, states_path: str, tmp_path: Path
-) -> None:
+def test_verify_knows_the_bound(towed: Episodes, states_path: str, tmp_path: Path) -> None:
     shutil.copy(states_path, tmp_path / "states.h5")
     random = rollouts(policy("random"), bounded(states_path), range(1))
     both = Episodes.merged([random, towed])

@@ -14,6 +14,7 @@ from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, canonical, images
 
+Array = NDArray[np.float64]
 BEADS = RopeConfig().beads
 CODES = [
     GaussCode(code.visits, letters)
@@ -35,7 +36,7 @@ rows = st.integers(0, 39)
 
 
 @pytest.fixture(scope="module")
-def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float64]:
+def configurations(rope: Rope, tangled: Array) -> Array:
     """Moving ropes, float64 (40, beads, 3)."""
     return rope.points(tangled)
 
@@ -64,16 +65,14 @@ def test_classes_part_the_codes() -> None:
 
 
 @given(rows, st.floats(-np.pi, np.pi))
-def test_what_a_variant_shows_is_what_the_moved_rope_shows(
-    configurations: NDArray[np.float64], row: int, turn: float
-) -> None:
+def test_variants_show_what_moved_ropes_show(configurations: Array, row: int, turn: float) -> None:
     points = configurations[row]
     for shown, symmetry in variants(label(points)):
         turned = symmetry._replace(turn=turn)
         assert label(turned.vertices(points)) == shown
 
 
-def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np.float64]) -> None:
+def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: Array) -> None:
     for points in configurations[::4]:
         found = find_crossings(points)
         visits = np.concatenate([found.over_place, found.under_place])
@@ -84,7 +83,7 @@ def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np
 
 @given(rows, symmetries)
 def test_a_bead_keeps_its_distances_and_its_place_under_its_new_number(
-    configurations: NDArray[np.float64], row: int, symmetry: Symmetry
+    configurations: Array, row: int, symmetry: Symmetry
 ) -> None:
     points = configurations[row]
     moved = symmetry.vertices(points)
@@ -99,9 +98,7 @@ def test_a_bead_keeps_its_distances_and_its_place_under_its_new_number(
 
 
 @pytest.mark.parametrize(("nx", "diagrams"), [(0, 1), (1, 1), (2, 2), (3, 7)])
-def test_diagrams_are_told_apart_and_their_form_is_one_of_their_codes(
-    nx: int, diagrams: int
-) -> None:
+def test_diagrams_differ_and_their_form_is_one_of_their_codes(nx: int, diagrams: int) -> None:
     forms = {code: canonical(code, Symmetry.DIAGRAM) for code in planar_codes(nx)}
     assert len(set(forms.values())) == diagrams
     assert all(forms[form] == form for form in forms.values())

@@ -68,9 +68,7 @@ def test_a_template_s_image_twice_is_the_template(kind: int) -> None:
     assert all(one.image(k, 3).image(k, 3) == one for k in range(IMAGES))
 
 
-def test_a_kind_of_move_is_added_by_one_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kind_of_move_is_one_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opposite = MoveKind(
         lambda target, bead, flip, sight: (
             (bead + 50 - target if flip else bead + 50 + target) % 100

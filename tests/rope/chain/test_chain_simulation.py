@@ -65,9 +65,7 @@ def lengths(points: Array) -> Array:
     return np.linalg.norm(np.roll(points, -1, axis=-2) - points, axis=-1)
 
 
-def test_ropes_laid_along_curves_move_as_those_laid_with_their_twist(
-    rope: Rope, curls: Array
-) -> None:
+def test_ropes_laid_along_curves_move_as_those_with_their_twist(rope: Rope, curls: Array) -> None:
     by_qpos, by_points = ChainSimulation(5, rope), ChainSimulation(5, rope)
     by_qpos.set_qpos(curls)
     beads, forces = pulls(5, 1)[0]

@@ -150,9 +150,7 @@ def distances(x: Array, pairs: Array, places: int = 21) -> Array:
 @pytest.mark.parametrize(
     ("size", "waves"), [(0.005, 1), (0.014, 5), (0.018, 1), (0.02, 1), (0.02, 2)]
 )
-def test_what_is_judged_safe_is_safe_for_every_pair_of_edges(
-    tangled: Array, size: float, waves: int
-) -> None:
+def test_what_is_judged_safe_is_for_all_edges(tangled: Array, size: float, waves: int) -> None:
     x, n = tangled, len(tangled)
     length = float(np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).mean())
     # strands move up and down, smoothly along the rope, and edges keep their length

@@ -20,9 +20,7 @@ def test_numba_is_bounded_as_in_the_package() -> None:
 
 
 @pytest.mark.parametrize("version", [(0, 60), (0, 69), (1, 0)])
-def test_another_numba_is_refused_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
-) -> None:
+def test_another_numba_is_told(monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]) -> None:
     monkeypatch.setattr("numba.version_info", SimpleNamespace(short=version))
     source = (ROOT / "knotgym" / "rope" / "chain" / "simd.py").read_text("utf-8")
     with pytest.raises(ImportError, match=r"from 0\.61 to before 0\.69, installed is"):
