@@ -14,7 +14,7 @@ from typing import Any, get_type_hints
 
 import pytest
 
-from knotgym.cli.options import field_help, numbers
+from knotgym.cli.options import numbers
 from knotgym.cli.program import COMMANDS, _module_of, application
 from knotgym.common import InvalidInput, choices
 from knotgym.states import shipped
@@ -140,20 +140,6 @@ def test_numbers_of_crossings_are_lists_and_ranges(text: str, expected: tuple[in
 def test_other_numbers_of_crossings_are_refused(text: str) -> None:
     with pytest.raises(InvalidInput, match="--nx takes"):
         numbers(text)
-
-
-def test_the_help_of_an_option_is_the_first_sentence_about_its_field() -> None:
-    class Pair:
-        """Two numbers.
-
-        Attributes:
-            low, high: ends of the range, `low` first; e.g. 1,2. Never equal.
-            other: another
-                thing.
-        """
-
-    assert field_help(Pair, "high") == "Ends of the range, `low` first; e.g. 1,2."
-    assert field_help(Pair, "other") == "Another thing." and field_help(Pair, "absent") == ""
 
 
 NEW = ("--out", "{new}")

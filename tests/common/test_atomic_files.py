@@ -143,11 +143,3 @@ def test_an_output_is_apart_from_its_sources(tmp_path: Path, source: str) -> Non
     (tmp_path / "linked").symlink_to(tmp_path / "out")
     with pytest.raises(Occupied, match="is, contains or is in its source"):
         require_output(tmp_path / "out", folder=True, reads=[tmp_path / source])
-
-
-def test_a_link_is_replaced_and_not_its_target(tmp_path: Path) -> None:
-    (tmp_path / "target").write_text("kept")
-    (tmp_path / "a").symlink_to(tmp_path / "target")
-    with atomic_write(tmp_path / "a") as part:
-        part.write_text("new")
-    assert (tmp_path / "target").read_text() == "kept" and not (tmp_path / "a").is_symlink()

@@ -168,6 +168,16 @@ def typed(dtype: Any) -> Callable[[h5py.File], Any]:
     return lambda file: file["rows"].create_dataset("source/seed", (5,), dtype=dtype)
 
 
+def put(name: str, values: Any) -> Callable[[h5py.File], Any]:
+    return lambda file: file[f"rows/{name}"].write_direct(
+        np.asarray(values).astype(file[f"rows/{name}"].dtype)
+    )
+
+
+def attribute(name: str, value: Any) -> Callable[[h5py.File], Any]:
+    return lambda file: file.attrs.update({name: value})
+
+
 HARMED: dict[
     str, tuple[Callable[[h5py.File], Any], str]
 ] = {  # what takes the place of the column source/seed, and the complaint
@@ -193,37 +203,15 @@ HARMED: dict[
         lambda file: file["rows"].create_dataset("source/seed", (10**10,), "i8", chunks=(1000,)),
         "declares 80000000000 bytes and stores 0",
     ),
-    "not finite": (
-        lambda file: file["rows/points"].write_direct(np.full((5, 4, 3), np.nan)),
-        r"points holds nan at \[0, 0, 0\]",
-    ),
-    "control characters": (
-        lambda file: file["rows/code"].write_direct(
-            np.array([b"\x1b"] * 5).astype(file["rows/code"].dtype)
-        ),
-        "code holds control characters",
-    ),
-    "other text": (
-        lambda file: file["rows/code"].write_direct(
-            np.array([b"\xff"] * 5).astype(file["rows/code"].dtype)
-        ),
-        "utf-8",
-    ),
-    "another format": (
-        lambda file: file.attrs.update(format=np.bytes_("theirs")),
-        "format 'theirs'",
-    ),
-    "another version": (lambda file: file.attrs.update(format_version=2), "version 2; .* 1"),
-    "a boolean version": (lambda file: file.attrs.update(format_version=True), "version True"),
-    "attribute of any length": (lambda file: file.attrs.update(n="a"), "attribute n is object"),
-    "attribute to a terminal": (
-        lambda file: file.attrs.update(n=np.bytes_("\x1b")),
-        "control characters",
-    ),
-    "attribute of torn JSON": (
-        lambda file: file.attrs.update(n=np.bytes_("{1")),
-        "isn't a whole ours file",
-    ),
+    "not finite": (put("points", np.full((5, 4, 3), np.nan)), r"points holds nan at \[0, 0, 0\]"),
+    "control characters": (put("code", [b"\x1b"] * 5), "code holds control characters"),
+    "other text": (put("code", [b"\xff"] * 5), "utf-8"),
+    "another format": (attribute("format", np.bytes_("theirs")), "format 'theirs'"),
+    "another version": (attribute("format_version", 2), "version 2; .* 1"),
+    "a boolean version": (attribute("format_version", True), "version True"),
+    "attribute of any length": (attribute("n", "a"), "attribute n is object"),
+    "attribute to a terminal": (attribute("n", np.bytes_("\x1b")), "control characters"),
+    "attribute of torn JSON": (attribute("n", np.bytes_("{1")), "isn't a whole ours file"),
 }
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from knotgym.datasets.gallery import Tile, _contact_sheet, sample, state_tiles
+from knotgym.datasets.gallery import Tile, _contact_sheet, state_tiles
 from knotgym.rendering import Film
 from knotgym.states import read_states
 
@@ -32,11 +32,3 @@ def test_of_many_states_a_sheet_shows_some_of_each_kind(monkeypatch: pytest.Monk
     tiles = state_tiles(read_states("bench", images=False))
     kinds = [tile.captions[1].rpartition("  row")[0] for tile in tiles]
     assert len(kinds) == 12 == len(set(kinds)) and kinds[:2] == ["nx 0  train", "nx 0  test"]
-
-
-def test_a_sample_has_every_stratum() -> None:
-    strata = ["a"] * 100 + ["b"] * 3 + ["c"] * 40
-    chosen = sample(strata, 23)
-    assert [sum(strata[row] == name for row in chosen) for name in "abc"] == [10, 3, 10]
-    assert chosen == sorted(set(chosen)) and min(chosen) == 0
-    assert sample([], 5) == [] and sample([1, 2], 5) == [0, 1]

@@ -6,27 +6,9 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import h5py
-import numpy as np
 import pytest
-
-
-def test_an_action_that_is_taken_back_shows_in_info() -> None:
-    env: Any = gym.make("knotgym/Tie-v0", nx=2, engine="chain", observation="state").unwrapped
-    env.reset(seed=0)
-    simulation = env.episodes.simulation
-    states = simulation.states().reshape(1, 100, 10)
-    states[0, :, 3:6] = np.random.default_rng(0).normal(0, 1e9, (100, 3))  # m/s
-    simulation.restore(states)
-    before = simulation.points.copy()
-    info = env.step(np.full(6, 0.5, dtype=np.float32))[4]
-    assert info["applied_share"] < 1 and not info["simulation_failed"]
-    assert np.allclose(info["force"], info["applied_share"] * 0.1)
-    assert np.array_equal(simulation.points, before)
-    assert env.step(np.full(6, 0.5, dtype=np.float32))[4]["applied_share"] == 1.0
 
 
 @pytest.mark.slow  # compiles for a minute

@@ -257,15 +257,6 @@ def test_a_selection_refuses_near_duplicates_up_to_symmetry(played: Path) -> Non
     assert selection.rejected[1] == {"near-duplicate": 1} and len(selection.rows()["nx"]) == 1
 
 
-def test_a_code_that_is_given_up_leaves_its_places_to_others() -> None:
-    codes = WantedCodes(GenerateConfig(nx=(2,), count=4), 2)
-    first, *others = codes.lacking(Counter(), ())
-    assert codes.lacking(Counter(), ()).total() == 4
-    later = codes.lacking(Counter(), {first})
-    assert later.total() == 4 and first not in later and {*others} < {*later}
-    assert codes.lacking(Counter([first]), {first}) == Counter(others)
-
-
 def test_the_coil_is_as_small_as_the_published_one(rope: Rope) -> None:
     points = PhasedPulls.coil(rope)
     radius = np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
