@@ -98,8 +98,7 @@ def make_images(
     """
     arrow()
     path = resolve_states(None if states is None else str(states))
-    plan = _Plan.of(config, read_states(path, images=False))
-
+    plan = _plan_of(config, read_states(path, images=False))
     made = identity(config, {"name": path.name, "sha256": path})
     recipe = partial(_pictures, config, plan, made)
     compiles = partial(compile_first, engine=config.engine)
@@ -108,19 +107,19 @@ def make_images(
 
 def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> Any:
     """Return a pyarrow.Table of pictures for split train, as `ImagesConfig.pictured` describes."""
-    plan, nx = _plan_of(config), config.trained
-    share, more = divmod(count, len(nx))
-    quota = {("train", one): share + (index < more) for index, one in enumerate(nx)}
+    plan, nx = _shipped_plan(config), config.trained
+    each, more = divmod(count, len(nx))
+    quota = {("train", one): each + (index < more) for index, one in enumerate(nx)}
     own = Stream.STREAM_PICTURES.derived_seed(seed, number)
-    waves = _Waves(replace(config, seed=own), plan._replace(quota=quota))
-    compute(_filled(waves))
-    files = _files(waves)
-    return drawn_table([row for rows in files.values() for row in rows], config.appearance)
+    pictures = _Pictures(replace(config, seed=own), plan._replace(quota=quota))
+    compute(pictures.filled())
+    rows = [row for rows in pictures.files().values() for row in rows]
+    return drawn_table(rows, config.appearance)
 
 
 @lru_cache(maxsize=2)
-def _plan_of(config: ImagesConfig) -> "_Plan":
-    return _Plan.of(config, read_states(resolve_states(None), images=False))
+def _shipped_plan(config: ImagesConfig) -> "_Plan":
+    return _plan_of(config, read_states(resolve_states(None), images=False))
 
 
 class _Plan(NamedTuple):
@@ -138,25 +137,25 @@ class _Plan(NamedTuple):
     states: States
     split: NDArray[np.str_]
 
-    @classmethod
-    def of(cls, config: ImagesConfig, states: States) -> "_Plan":
-        if states.attributes.get("rope") != (fingerprint := RopeConfig().fingerprint):
-            raise InvalidInput(
-                f"the states were made with rope model {states.attributes.get('rope')}; this"
-                f" version has {fingerprint}"
-            )
-        states = states.take(states.nx <= max(config.nx))
-        if not len(states):
-            raise InvalidInput(f"there is no state with at most {max(config.nx)} crossings")
-        knots = sorted(set(states.knot.tolist()))
-        codes = dict[int, list[str]]()
-        for nx in config.nx:
-            every = [str(code) for knot in knots for code in codes_of(knot, nx)]
-            if not every:
-                raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
-            codes[nx] = sorted({held_form(code, marked=config.marked) for code in every})
-        quota = _quotas(config, {nx: len(codes[nx]) for nx in codes})
-        return cls(quota, _held_out(config, codes), states, _splits_of(config, states, set(quota)))
+
+def _plan_of(config: ImagesConfig, states: States) -> _Plan:
+    if states.attributes.get("rope") != (fingerprint := RopeConfig().fingerprint):
+        raise InvalidInput(
+            f"the states were made with rope model {states.attributes.get('rope')}; this"
+            f" version has {fingerprint}"
+        )
+    states = states.take(states.nx <= max(config.nx))
+    if not len(states):
+        raise InvalidInput(f"there is no state with at most {max(config.nx)} crossings")
+    knots = sorted(set(states.knot.tolist()))
+    codes = dict[int, list[str]]()
+    for nx in config.nx:
+        every = [str(code) for knot in knots for code in codes_of(knot, nx)]
+        if not every:
+            raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
+        codes[nx] = sorted({held_form(code, marked=config.marked) for code in every})
+    quota = _quotas(config, {nx: len(codes[nx]) for nx in codes})
+    return _Plan(quota, _held_out(config, codes), states, _splits_of(config, states, set(quota)))
 
 
 def _splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDArray[np.str_]:
@@ -211,8 +210,9 @@ def _held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> froze
 
 def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Path) -> Recipe[str]:
     """Make pictures in the new folder `place`; the result is a summary."""
-    waves = yield from _filled(_Waves(config, plan))
-    rows_of = _files(waves)
+    pictures = _Pictures(config, plan)
+    yield from pictures.filled()
+    rows_of = pictures.files()
     results = yield [
         Call(f"rendering pictures {name}", _drawn, (rows, config.appearance), len(rows))
         for name, rows in rows_of.items()
@@ -221,8 +221,8 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    finish(place, waves.report(), made)
-    return f"{len(waves.chooser.chosen)} pictures"
+    finish(place, pictures.report(), made)
+    return f"{len(pictures.chosen)} pictures"
 
 
 def _drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> Result:
@@ -230,37 +230,66 @@ def _drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> Result:
     return {"parquet": np.frombuffer(parquet(drawn_table(rows, config)), dtype=np.uint8)}
 
 
-def _filled(waves: "_Waves") -> Recipe["_Waves"]:
-    """Pull ropes until all quotas are full."""
-    while waves.chooser.lacking():
-        waves.take((yield waves.calls()))
-    return waves
-
-
-class _Waves:
-    """Ropes that are pulled, wave after wave, until their frames fill all quotas.
+class _Pictures:
+    """Configurations to be shown: ropes are pulled, wave after wave, until all quotas are full.
 
     Attributes:
-        config: of the pictures.
         ropes: all ropes so far; the number of a rope is its index.
-        chooser: chooses among their frames.
+        chosen: what was chosen so far. Its `source` has rope, pulls, and the symmetry that was
+            applied to the frame, and its camera is that in whose axes the points were before.
     """
 
     def __init__(self, config: ImagesConfig, plan: _Plan) -> None:
-        self.ropes = list[_PicturedRope]()
-        self.chooser = _Chooser(plan.quota, plan.held_out, config)
-        self.config, self._plan = config, plan
-
+        self.ropes, self.chosen = list[_PicturedRope](), list[PictureRow]()
+        self._config, self._plan = config, plan
         # by quota: ropes that were pulled for it, and pictures that they gave
         self._pulled, self._gave = Counter[Quota](), Counter[Quota]()
-        self._frames, self._dropped = 0, Counter[str]()
-        self._wave = self._idle = 0
+        # pictures of a split with as many crossings, and those of grade extreme
+        self._have, self._hardest = Counter[Quota](), Counter[Quota]()
+        # why frames were dropped by `_frames_of`, and refused here
+        self._frames, self._dropped, self._refused = 0, Counter[str](), Counter[str]()
+        self._forms = dict[str, str]()  # code -> its `held_form`
+        self._codes = Counter[tuple[str, str]]()
+        self._known: Spectra | None = None  # of the chosen, in arrays with room for more
 
-    def calls(self) -> list[Call]:
+    def filled(self) -> Recipe[None]:
+        """Pull ropes until all quotas are full.
+
+        Raises:
+            Failed: several waves in a row brought no picture.
+        """
+        wave = idle = 0
+        while lacking := self._lacking():
+            before = len(self.chosen)
+            for found in (yield self._calls(wave, lacking)):
+                counts = zip(found["dropped"].tolist(), found["count"].tolist(), strict=True)
+                self._dropped.update(dict(counts))
+                self._frames += len(found["rope"]) + int(found["count"].sum())
+                for row, number in enumerate(found["rope"].tolist()):
+                    quota = self.ropes[number].quota
+                    if reason := self._consider(found, row, quota[0]):
+                        self._refused[reason] += 1
+                    else:
+                        self._gave[quota] += 1
+            wave += 1
+            idle = 0 if len(self.chosen) > before else idle + 1
+            if idle == self._config.idle:
+                items = sorted(lacking.items())
+                missing = ", ".join(f"{n} of {split} with nx {nx}" for (split, nx), n in items)
+                raise Failed(
+                    f"{before} of {sum(self._plan.quota.values())} pictures found, then none in"
+                    f" {idle} waves of ropes; missing {missing}; start from more states"
+                )
+
+    def _lacking(self) -> dict[Quota, int]:
+        """Return (split, nx) -> missing pictures, without full quotas."""
+        lacking = {key: quota - self._have[key] for key, quota in self._plan.quota.items()}
+        return {key: count for key, count in lacking.items() if count > 0}
+
+    def _calls(self, wave: int, lacking: Mapping[Quota, int]) -> list[Call]:
         """Draw the ropes of the next wave and return what pulls them."""
-        config, first = self.config, len(self.ropes)
-        rng = Stream.IMAGE_WAVE.generator(config.seed, self._wave)
-        lacking = self.chooser.lacking()
+        config, first = self._config, len(self.ropes)
+        rng = Stream.IMAGE_WAVE.generator(config.seed, wave)
         # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 2 pictures
         yields = {key: (self._pulled[key] + 1) / (self._gave[key] + 2) for key in lacking}
         wanted = {key: int(np.ceil(1.1 * count * yields[key])) for key, count in lacking.items()}
@@ -280,29 +309,89 @@ class _Waves:
             calls.append(Call(name, _frames_of, arguments, len(group)))
         return calls
 
-    def take(self, results: list[Result]) -> None:
-        """Choose among the frames of a wave.
+    def _consider(self, frames: Result, row: int, split: str) -> str:
+        """Choose a frame, or return why it is refused.
 
-        Raises:
-            Failed: several waves in a row brought no picture.
+        Args:
+            frames: as `_frames_of` returns them.
+            row: which of them.
+            split: that its rope is of.
         """
-        before = len(self.chooser.chosen)
-        for found in results:
-            counts = zip(found["dropped"].tolist(), found["count"].tolist(), strict=True)
-            self._dropped.update(dict(counts))
-            self._frames += len(found["rope"]) + int(found["count"].sum())
-            for row, number in enumerate(found["rope"].tolist()):
-                quota = self.ropes[number].quota
-                self._gave[quota] += self.chooser.consider(found, row, quota[0])
-        self._wave += 1
-        self._idle = 0 if len(self.chooser.chosen) > before else self._idle + 1
-        if self._idle == self.config.idle:
-            lacking = sorted(self.chooser.lacking().items())
-            missing = ", ".join(f"{n} of {split} with nx {nx}" for (split, nx), n in lacking)
-            raise Failed(
-                f"{before} of {sum(self._plan.quota.values())} pictures found, then none in"
-                f" {self._idle} waves of ropes; missing {missing}; start from more states"
-            )
+        key = split, int(frames["nx"][row])
+        if self._plan.quota.get(key, 0) <= self._have[key]:
+            return "quota full"
+        is_extreme = grade_of(float(frames["ease"][row])) == "extreme"
+        if is_extreme and self._hardest[key] >= self._config.extreme * self._plan.quota[key]:
+            return "extreme enough"
+        able = [
+            (self._codes[split, code], index, code)
+            for index, code in enumerate(frames["codes"][row].tolist())
+            if code != "-" and self._may_show(code, split)
+        ]
+        if not able:
+            return "no code wanted"
+        _, index, code = min(able)
+        symmetry = _symmetry_of(frames["symmetries"][row, index])
+        points = symmetry.vertices(frames["points"][row])
+        if not self._is_new(points, split):
+            return "near-duplicate"
+        self._have[key] += 1
+        self._hardest[key] += is_extreme
+        self._codes[split, code] += 1
+        names = ("reflect", "switch", "reverse", "base_shift")
+        source: dict[str, Any] = {name: int(frames[name][row]) for name in ("rope", "pulls")}
+        source |= {name: getattr(symmetry, name) for name in names}
+        tilt, heading = frames["camera"][row].tolist()
+        self.chosen.append(PictureRow(points, split, source, (tilt, heading)))
+        return ""
+
+    def _may_show(self, code: str, split: str) -> bool:
+        if split == "test-nx":
+            return True
+        if code not in self._forms:
+            self._forms[code] = held_form(code, marked=self._config.marked)
+        return (self._forms[code] in self._plan.held_out) == (split == "test-code")
+
+    def _is_new(self, points: Array, split: str) -> bool:
+        """Whether no chosen configuration is a near-duplicate; if so, remember the points.
+
+        Within a split only the same shape as it lies counts, across splits any symmetric one.
+        """
+        n, own = len(self.chosen), Spectra.of(points[None])
+        known = self._known
+        if known is None or n == len(known.square):  # full: double the room
+            room = [np.zeros((max(2048, 2 * n), *one.shape[1:]), one.dtype) for one in own]
+            for new, old in zip(room, known or (), strict=False):
+                new[:n] = old
+            known = self._known = Spectra(*room)
+        like = np.flatnonzero(np.linalg.norm(known.invariants[:n] - own.invariants, axis=1) < NEAR)
+        if (own.turned_distances(known.take(like)) < NEAR).any():
+            return False
+        others = like[[self.chosen[row].split != split for row in like.tolist()]]
+        if (own.pair_distances(known.take(others)) < NEAR).any():
+            return False
+        for column, new in zip(known, own, strict=True):
+            column[n] = new[0]
+        return True
+
+    def files(self) -> dict[str, list[PictureRow]]:
+        """Return the rows of every file by its name; each split's rows are in random order."""
+        config, number = self._config, 0
+        files: dict[str, list[PictureRow]] = {}
+        for place, split in enumerate(IMAGE_SPLITS):
+            chosen = [one for one in self.chosen if one.split == split]
+            rng = Stream.IMAGE_ORDER.generator(config.seed, place)
+            order = rng.permutation(len(chosen)).tolist()
+            firsts = range(0, len(chosen), config.rows_per_file)
+            for index, first in enumerate(firsts):
+                rows = files[shard_name(split, index, len(firsts))] = []
+                for one in (chosen[at] for at in order[first : first + config.rows_per_file]):
+                    rope = self.ropes[one.source["rope"]]
+                    policy = config.policies[rope.number % len(config.policies)]
+                    made = {"policy": policy, "start": rope.start, "seed": config.seed}
+                    rows.append(one._replace(source={**made, "row": number, **one.source}))
+                    number += 1
+        return files
 
     def report(self) -> dict[str, Any]:
         """Return the numbers of ropes and frames, and of frames not used, by reason."""
@@ -310,7 +399,7 @@ class _Waves:
             "ropes": len(self.ropes),
             "frames": self._frames,
             "dropped": dict(sorted(self._dropped.items())),
-            "refused": dict(sorted(self.chooser.refused.items())),
+            "refused": dict(sorted(self._refused.items())),
         }
 
     def _starts(self, split: str, nx: int) -> NDArray[np.int64]:
@@ -326,25 +415,6 @@ class _Waves:
                 away = np.where(side, np.abs(crossings - nx), np.iinfo(np.int64).max)
                 return np.flatnonzero(away == away.min())
         raise Failed(f"no state is left for {split} with nx {nx}; start from more states")
-
-
-def _files(waves: _Waves) -> dict[str, list[PictureRow]]:
-    """Return the rows of every file by its name; each split's rows are in random order."""
-    config, number = waves.config, 0
-    files: dict[str, list[PictureRow]] = {}
-    for place, split in enumerate(IMAGE_SPLITS):
-        chosen = [one for one in waves.chooser.chosen if one.split == split]
-        order = Stream.IMAGE_ORDER.generator(config.seed, place).permutation(len(chosen)).tolist()
-        firsts = range(0, len(chosen), config.rows_per_file)
-        for index, first in enumerate(firsts):
-            rows = files[shard_name(split, index, len(firsts))] = []
-            for one in (chosen[at] for at in order[first : first + config.rows_per_file]):
-                rope = waves.ropes[one.source["rope"]]
-                policy = config.policies[rope.number % len(config.policies)]
-                made = {"policy": policy, "start": rope.start, "seed": config.seed, "row": number}
-                rows.append(one._replace(source=made | one.source))
-                number += 1
-    return files
 
 
 class _PicturedRope(NamedTuple):
@@ -459,105 +529,3 @@ def _shown(points: Array, symmetry: Symmetry, config: ImagesConfig) -> str:
     crossings = find_crossings(moved)
     least = config.limits.base_spacing or 0.0
     return str(crossings.code) if base_spacing(moved, crossings) >= least else "-"
-
-
-class _Chooser:
-    """Fills quotas, frame by frame.
-
-    Attributes:
-        chosen: what was chosen so far. Its `source` has rope, pulls, and the symmetry that was
-            applied to the frame, and its camera is that in whose axes the points were before.
-        refused: reason -> number of refused frames.
-    """
-
-    def __init__(
-        self, quota: Mapping[Quota, int], held_out: frozenset[str], config: ImagesConfig
-    ) -> None:
-        """Begin without any frame.
-
-        Args:
-            quota: (split, nx) -> number of pictures.
-            held_out: codes, as `held_form` gives them, that only splits test-code and test-nx may
-                show.
-            config: of the pictures.
-        """
-        self.chosen, self.refused = list[PictureRow](), Counter[str]()
-        self._quota, self._held_out, self._config = quota, held_out, config
-        self._forms = dict[str, str]()  # code -> its `held_form`
-        self._have, self._hardest = Counter[Quota](), Counter[Quota]()
-        self._codes = Counter[tuple[str, str]]()
-        self._known: Spectra | None = None  # of the chosen, in arrays with room for more
-
-    def lacking(self) -> dict[Quota, int]:
-        """Return (split, nx) -> missing pictures, without full quotas."""
-        lacking = {key: quota - self._have[key] for key, quota in self._quota.items()}
-        return {key: count for key, count in lacking.items() if count > 0}
-
-    def consider(self, frames: Result, row: int, split: str) -> bool:
-        """Choose or refuse a frame; return whether it is chosen.
-
-        Args:
-            frames: as `_frames_of` returns them.
-            row: which of them.
-            split: that its rope is of.
-        """
-        key = split, int(frames["nx"][row])
-        if self._quota.get(key, 0) <= self._have[key]:
-            return self._refuse("quota full")
-        is_extreme = grade_of(float(frames["ease"][row])) == "extreme"
-        if is_extreme and self._hardest[key] >= self._config.extreme * self._quota[key]:
-            return self._refuse("extreme enough")
-        able = [
-            (self._codes[split, code], index, code)
-            for index, code in enumerate(frames["codes"][row].tolist())
-            if code != "-" and self._may_show(code, split)
-        ]
-        if not able:
-            return self._refuse("no code wanted")
-        _, index, code = min(able)
-        symmetry = _symmetry_of(frames["symmetries"][row, index])
-        points = symmetry.vertices(frames["points"][row])
-        if not self._is_new(points, split):
-            return self._refuse("near-duplicate")
-        self._have[key] += 1
-        self._hardest[key] += is_extreme
-        self._codes[split, code] += 1
-        names = ("reflect", "switch", "reverse", "base_shift")
-        source: dict[str, Any] = {name: int(frames[name][row]) for name in ("rope", "pulls")}
-        source |= {name: getattr(symmetry, name) for name in names}
-        tilt, heading = frames["camera"][row].tolist()
-        self.chosen.append(PictureRow(points, split, source, (tilt, heading)))
-        return True
-
-    def _refuse(self, reason: str) -> bool:
-        self.refused[reason] += 1
-        return False
-
-    def _may_show(self, code: str, split: str) -> bool:
-        if split == "test-nx":
-            return True
-        if code not in self._forms:
-            self._forms[code] = held_form(code, marked=self._config.marked)
-        return (self._forms[code] in self._held_out) == (split == "test-code")
-
-    def _is_new(self, points: Array, split: str) -> bool:
-        """Whether no chosen configuration is a near-duplicate; if so, remember the points.
-
-        Within a split only the same shape as it lies counts, across splits any symmetric one.
-        """
-        n, own = len(self.chosen), Spectra.of(points[None])
-        known = self._known
-        if known is None or n == len(known.square):  # full: double the room
-            room = [np.zeros((max(2048, 2 * n), *one.shape[1:]), one.dtype) for one in own]
-            for new, old in zip(room, known or (), strict=False):
-                new[:n] = old
-            known = self._known = Spectra(*room)
-        like = np.flatnonzero(np.linalg.norm(known.invariants[:n] - own.invariants, axis=1) < NEAR)
-        if (own.turned_distances(known.take(like)) < NEAR).any():
-            return False
-        others = like[[self.chosen[row].split != split for row in like.tolist()]]
-        if (own.pair_distances(known.take(others)) < NEAR).any():
-            return False
-        for column, new in zip(known, own, strict=True):
-            column[n] = new[0]
-        return True
