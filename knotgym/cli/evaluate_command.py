@@ -98,6 +98,6 @@ def _trained_on(given: Given, policies: list[str]) -> dict[str, Any]:
         if count == 1 or (count and not is_single):
             found[path] = first[0] if is_single else tuple(first)
     if found:
-        told = (f"{path.rpartition('.')[2]} {as_typed(one)}" for path, one in found.items())
-        given.progress.say(one_line(f"as the learner was trained: {', '.join(told)}"))
+        shown = (f"{path.rpartition('.')[2]} {as_typed(one)}" for path, one in found.items())
+        given.progress.say(one_line(f"as the learner was trained: {', '.join(shown)}"))
     return found

@@ -248,10 +248,10 @@ def _restore_lengths(p: Array, length: float, passes: int) -> None:
             j = (i + 1) % n
             x, y, z = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
             now = np.sqrt(x * x + y * y + z * z)
-            share = 0.5 * (now - length) / max(now, 1e-12)
-            p[i, 0] += share * x
-            p[i, 1] += share * y
-            p[i, 2] += share * z
-            p[j, 0] -= share * x
-            p[j, 1] -= share * y
-            p[j, 2] -= share * z
+            part = 0.5 * (now - length) / max(now, 1e-12)
+            p[i, 0] += part * x
+            p[i, 1] += part * y
+            p[i, 2] += part * z
+            p[j, 0] -= part * x
+            p[j, 1] -= part * y
+            p[j, 2] -= part * z

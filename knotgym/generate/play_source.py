@@ -243,7 +243,7 @@ def rows_of_ropes(
     Raises:
         Failed: states are missing, although `config.attempts` are used up.
     """
-    ropes, selection, lived = _pulls_of(config).ropes, Selection(apart_from), 0
+    ropes, selection, pulled = _pulls_of(config).ropes, Selection(apart_from), 0
     have, of_code = Counter[tuple[int, str]](), Counter[tuple[str, GaussCode]]()
     train = int(np.floor(config.count * config.train_share + 0.5))
     # states of each number of crossings
@@ -251,17 +251,17 @@ def rows_of_ropes(
     while lacking := [
         (nx, split) for nx in config.nx for split in STATE_SPLITS if have[nx, split] < wanted[split]
     ]:
-        if lived >= config.attempts * config.count:
+        if pulled >= config.attempts * config.count:
             named = ", ".join(f"nx {nx} {split}" for nx, split in lacking)
             raise Failed(
-                f"states are missing for {named} after {lived} ropes; give --resume with a larger"
+                f"states are missing for {named} after {pulled} ropes; give --resume with a larger"
                 " --set attempts=N"
             )
         calls = [
             Call(f"pulling ropes {first}", _play, (config, first, tuple(lacking)))
-            for first in range(lived, lived + _CALLS * ropes, ropes)
+            for first in range(pulled, pulled + _CALLS * ropes, ropes)
         ]
-        lived += _CALLS * ropes
+        pulled += _CALLS * ropes
         for result in (yield calls):
             rows, reasons = without_report(result)
             for nx, each in reasons:
@@ -278,7 +278,7 @@ def rows_of_ropes(
                     of_code[split, code] += 1
     report.update(
         existing_codes={str(nx): len(codes_of(UNKNOT, nx)) for nx in config.nx},
-        attempts=lived,
+        attempts=pulled,
         rejected=selection.reasons(config.nx),
     )
     return selection.rows()

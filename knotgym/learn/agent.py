@@ -74,7 +74,7 @@ class _Episode:
         step: actions taken.
         probes: probing actions taken.
         plan: pulls that remain.
-        planned: step of the last replanning.
+        replanned_at: step of the last replanning.
         imagined: imagined actions spent.
     """
 
@@ -87,7 +87,7 @@ class _Episode:
     step: int = 0
     probes: int = 0
     plan: list[PlannedPull] = field(default_factory=list)
-    planned: int = 0
+    replanned_at: int = 0
     imagined: int = 0
 
 
@@ -156,12 +156,12 @@ class PicturePlayer:
         """Set the episode's next named point and force."""
         hypotheses = episode.hypotheses
         towing = bool(episode.plan) and episode.plan[0].named is not None
-        due = episode.step - episode.planned >= _PATIENCE or not episode.plan
+        due = episode.step - episode.replanned_at >= _PATIENCE or not episode.plan
         # A tow takes many steps, and interrupting or turning it starts it over, so it is never
         # replaced.
         if due and not towing and self._success_rate(episode, episode.plan) < _KEEP_PLAN:
             self._replan(episode)
-            episode.planned = episode.step
+            episode.replanned_at = episode.step
         if episode.plan:
             bead, force, point = episode.plan.pop(0)
             if point is not None:
@@ -202,8 +202,8 @@ class PicturePlayer:
             ((_, made),) = self._planning.run([found], _PLANNER.batch_size)
             episode.imagined += made.spent
             left -= made.spent
-            planned = zip(made.beads.tolist(), made.forces.astype(np.float64), strict=True)
-            pulls = [PlannedPull(bead, force) for bead, force in planned]
+            forces = made.forces.astype(np.float64)
+            pulls = [*map(PlannedPull, made.beads.tolist(), forces)]
             # a plan that doesn't reach the goal is still better than none, which scores -1
             success_rate = self._success_rate(episode, pulls) if made.solved else -0.5
             if success_rate > highest and pulls:

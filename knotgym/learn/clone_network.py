@@ -150,8 +150,8 @@ class CloneNetwork(nn.Module):
         whole = seen.whole[:, None].expand(-1, beads.shape[1], -1)
         query = self.query(torch.cat([_picked(seen.beads, beads), whole], dim=2))
         logits = query @ seen.beads.transpose(1, 2)
-        apart = (torch.arange(BEADS, device=beads.device) - beads[..., None]) % BEADS
-        return logits + self.apart(apart)[..., 0]
+        distance = (torch.arange(BEADS, device=beads.device) - beads[..., None]) % BEADS
+        return logits + self.apart(distance)[..., 0]
 
     def _sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits (n, k, 2) of passing under and over, and logits that either works."""

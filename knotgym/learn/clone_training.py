@@ -68,10 +68,10 @@ class CloneTraining(Training):
             self._minimize(loss)
             losses.append(loss.detach())
             # the average forgets the first steps faster
-            share = min(_AVERAGE, self.step / (self.step + 20))
+            decay = min(_AVERAGE, self.step / (self.step + 20))
             with torch.no_grad():
                 for name, own in self.network.state_dict().items():
-                    self._average[name].mul_(share).add_(own, alpha=1 - share)
+                    self._average[name].mul_(decay).add_(own, alpha=1 - decay)
         judged = losses[-1].item()
         if len(self._aside[-1]):
             with torch.no_grad():

@@ -123,9 +123,9 @@ def interpolated_axis(moments: Array, least: float) -> Array:
         # beads from start to end round the loop, in [1, BEADS]; BEADS if only one bead is seen
         gap = (end - start - 1) % BEADS + 1
         for step in range(gap):
-            share = step / gap
+            fraction = step / gap
             i = (start + step) % BEADS
-            axis[i] = (1 - share) * moments[start, 1:3] + share * moments[end, 1:3]
+            axis[i] = (1 - fraction) * moments[start, 1:3] + fraction * moments[end, 1:3]
     return axis
 
 
@@ -156,8 +156,8 @@ def crossing_votes(picture: NDArray[np.uint8], vertices: Array, colours: Array) 
         for r in range(int(y) - 1, int(y) + 2):
             for c in range(int(x) - 1, int(x) + 2):
                 if 0 <= r < SIZE and 0 <= c < SIZE:
-                    apart = (c + 0.5 - x) ** 2 + (r + 0.5 - y) ** 2
-                    total += np.exp(-apart / 0.36) * (
+                    square = (c + 0.5 - x) ** 2 + (r + 0.5 - y) ** 2
+                    total += np.exp(-square / 0.36) * (
                         _colour_distance(picture[r, c], colours, votes[row, 1])
                         - _colour_distance(picture[r, c], colours, votes[row, 0])
                     )
@@ -191,16 +191,16 @@ def enforce_votes(vertices: Array, votes: Array, least: float, reach: int) -> No
                 middle = votes[row, strand]
                 up = sign * short * (0.5 if strand == 0 else -0.5)
                 for bead in range(int(middle) - reach, int(middle) + reach + 2):
-                    share = 0.5 + 0.5 * np.cos(np.pi * (bead - middle) / (reach + 1))
-                    vertices[bead % BEADS, 2] += up * share
+                    fraction = 0.5 + 0.5 * np.cos(np.pi * (bead - middle) / (reach + 1))
+                    vertices[bead % BEADS, 2] += up * fraction
 
 
 @inner
 def _height(vertices: Array, along: float) -> float:
     """Interpolate the height at a position along the rope."""
     bead = int(along)
-    share = along - bead
-    return float((1 - share) * vertices[bead % BEADS, 2] + share * vertices[(bead + 1) % BEADS, 2])
+    part = along - bead
+    return float((1 - part) * vertices[bead % BEADS, 2] + part * vertices[(bead + 1) % BEADS, 2])
 
 
 @inner
@@ -210,8 +210,8 @@ def _colour_distance(seen: NDArray[np.uint8], colours: Array, along: float) -> f
     best = np.inf
     for step in range(-1, 2):
         bead = (int(np.floor(along)) + step) % BEADS
-        apart = 0.0
+        square = 0.0
         for channel in range(3):
-            apart += (seen[channel] - colours[bead, channel]) ** 2
-        best = min(best, apart)
+            square += (seen[channel] - colours[bead, channel]) ** 2
+        best = min(best, square)
     return float(np.sqrt(best))

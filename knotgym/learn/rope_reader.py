@@ -308,8 +308,8 @@ class RopeReader:
         if not 1 <= views <= VIEWS:
             raise InvalidInput(f"views must be from 1 to {VIEWS}, got {views}")
         # the mean over the area of a pixel, where bilinear interpolation would skip pixels
-        way = cv2.INTER_AREA if side > SIDE else cv2.INTER_LINEAR
-        seen = cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=way)
+        method = cv2.INTER_AREA if side > SIDE else cv2.INTER_LINEAR
+        seen = cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=method)
         with inference():
             fields = _averaged(self.network, torch.from_numpy(seen).permute(2, 0, 1)[None], views)
         found = _line_in(fields)
@@ -399,9 +399,9 @@ def _line_in(fields: Fields) -> tuple[Array, float] | None:
     margin, level = 1.0, np.zeros(len(line))
     for over, under, position in zip(flat.over_place, flat.under_place, flat.position, strict=True):
         one, other = (_doubled(line, int(place)) for place in (over, under))
-        apart = one - other
+        between = one - other
         seen = _bilinear(fields.upper, position[0], -position[1])
-        vote = float(seen @ apart / max(np.hypot(*apart), 1e-6))
+        vote = float(seen @ between / max(np.hypot(*between), 1e-6))
         margin = min(margin, abs(vote))
         for place, lift in ((over, vote), (under, -vote)):
             level[[int(place) % len(line), (int(place) + 1) % len(line)]] = np.sign(lift)

@@ -337,8 +337,8 @@ class ShapeHypotheses:
         kept: list[int] = []
         total = weights.copy()
         for row in np.argsort(-weights, kind="stable").tolist():
-            apart = ropes[kept, :, 2] - ropes[row, :, 2]
-            same = np.flatnonzero((apart**2).mean(axis=1) < _MERGED**2)
+            off = ropes[kept, :, 2] - ropes[row, :, 2]
+            same = np.flatnonzero((off**2).mean(axis=1) < _MERGED**2)
             if len(same):
                 # a duplicate adds its weight to the more likely one, even once the set is full
                 total[kept[same[0]]] += weights[row]

@@ -199,12 +199,13 @@ def _shown(
     plan: PassPlan, goal: GaussCode, copies: int, elsewhere: int, rng: np.random.Generator
 ) -> Iterator[Row]:
     """Yield the examples of a search: points, goal, macro-action, and whether it works."""
-    beads, way = len(plan.tried[0].points) if plan.tried else 0, {id(one) for one in plan.passes}
+    beads = len(plan.tried[0].points) if plan.tried else 0
+    leading = {id(one) for one in plan.passes}
     some = partial(_some, rng=rng)
     for one in some([one for one in plan.tried if _leads_elsewhere(one, goal)], elsewhere):
         yield _numbered(one, int(rng.integers(beads)), one.landing.points)
     # by identity, as two tries of one pass from one state are different examples
-    vain = [one for one in plan.tried if id(one) not in way]
+    vain = [one for one in plan.tried if id(one) not in leading]
     if not plan.passes:
         yield from ((one.points, goal, one.move, False) for one in some(vain, _IN_VAIN))
         return
@@ -221,16 +222,17 @@ def _numbered(one: TriedPass, base: int, end: Array) -> Row:
     It works if it leads to that code. From bead 0 a pass in vain doesn't, from another it may.
     """
     count, (bead, target, side) = len(end), one.move
-    start, led, wanted = (np.roll(x, -base, axis=0) for x in (one.points, one.landing.points, end))
+    before, after = one.points, one.landing.points
+    start, landed, wanted = (np.roll(points, -base, axis=0) for points in (before, after, end))
     goal = label(wanted).plain
     move = Pass((bead - base) % count, (target - base) % count, side)
-    return start, goal, move, label(led).matches(goal)
+    return start, goal, move, label(landed).matches(goal)
 
 
 def _leads_elsewhere(one: TriedPass, goal: GaussCode) -> bool:
-    led, here = one.landing.code, label(one.points)
-    known = led.matches(goal) or led.matches(here) or one.landing.lost
-    return not known and led.nx <= _MOST_CROSSINGS
+    code, here = one.landing.code, label(one.points)
+    known = code.matches(goal) or code.matches(here) or one.landing.lost
+    return not known and code.nx <= _MOST_CROSSINGS
 
 
 def _some(passes: Sequence[TriedPass], most: int, *, rng: np.random.Generator) -> list[TriedPass]:

@@ -155,9 +155,9 @@ class HandTab:
         if len(self.session.pulls) == taken:
             return
         after, lasts = self.session.points.copy(), self._seconds_per_pull
-        while (share := (time.monotonic() - began) / lasts) < 1 and not self._closed.is_set():
+        while (fraction := (time.monotonic() - began) / lasts) < 1 and not self._closed.is_set():
             shown = time.monotonic()
-            self.scene.move((1 - share) * before + share * after)
+            self.scene.move((1 - fraction) * before + fraction * after)
             self._closed.wait(max(0.0, 1 / _FRAMES - (time.monotonic() - shown)))
         self._show()
         self._note()

@@ -296,8 +296,8 @@ class Chat:
             tokens = tuple(_count(usage.get(f"{of}_tokens")) for of in ("prompt", "completion"))
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             # some servers send their errors with status 200
-            told = _error(body, "message")
-            return _Attempt("error" if told else "malformed", self._short(told or body))
+            message = _error(body, "message")
+            return _Attempt("error" if message else "malformed", self._short(message or body))
         if finish == "error":
             detail = _error(json.dumps(choice), "message") or json.dumps(choice)
             return _Attempt("error", self._short(detail), tokens=tokens)

@@ -80,13 +80,13 @@ def run_prompts(
         return _packed(chat.ask(messages))
 
     def _recipe(place: Path) -> Recipe[str]:
-        told = yield from (_read(config, rows, _ask) if rows else _play(config, _ask))
-        result = {"version": knotgym.__version__, **summarize(told), "settings": settings}
+        transcripts = yield from (_read(config, rows, _ask) if rows else _play(config, _ask))
+        result = {"version": knotgym.__version__, **summarize(transcripts), "settings": settings}
         result["identity"] = run_identity
         if rows:
-            result["scores"] = reading_scores(told)
+            result["scores"] = reading_scores(transcripts)
         place.mkdir(parents=True)
-        (place / FILE).write_text("".join(map(line, told)), encoding="utf-8")
+        (place / FILE).write_text("".join(map(line, transcripts)), encoding="utf-8")
         (place / _RESULT).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
         return f"{FILE}, {_RESULT}"
 
@@ -163,7 +163,7 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
         for number in range(count)
     ]
     windows: list[list[Turn]] = [[] for _ in range(count)]
-    planned: list[list[list[float]]] = [[] for _ in range(count)]
+    queued: list[list[list[float]]] = [[] for _ in range(count)]
     playing, turns = ids, 0
     while len(playing):
         if config.mode != OPEN or not turns:
@@ -179,7 +179,7 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
                 actions, fault = read_actions(reply["text"], limit)
                 if reply["fault"]:
                     actions, fault = [], reply["fault"]
-                planned[number] = list(actions)
+                queued[number] = list(actions)
                 turn = {
                     "step": len(episodes[number]["actions"]),
                     "picture": now.sha256,
@@ -192,7 +192,7 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
                     window = [*windows[number], Turn(now, reply["text"])]
                     windows[number] = window[-config.window :]
         # float32, as in policies, so that a replay is the same to the bit
-        chosen = [planned[n].pop(0) if planned[n] else _NO_OP for n in playing.tolist()]
+        chosen = [queued[n].pop(0) if queued[n] else _NO_OP for n in playing.tolist()]
         pulls = np.array(chosen, dtype=np.float32)
         outcome = batch.act(pulls, playing)
         for number, action, code in zip(
