@@ -8,6 +8,7 @@ one only when its arrays change on purpose: `knotgym doctor` prints the new one.
 import hashlib
 import tempfile
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ EXPECTED = {
     "expert's episode": "a8f548dab19c",
     "marked observations": "c70c59786f3c",
 }
+_DECISIVE = ("knotgym", "mujoco", "numpy", "numba", "opencv-python-headless")  # of bytes
 _ROPES, _FEW = 64, 8  # that move in the chain engine and in MuJoCo
 
 
@@ -50,17 +52,10 @@ def doctor(given: Given) -> None:
         differs += [name] * (not same)
         expected = "" if same else f", recorded {EXPECTED[name]}"
         progress.say(f"{'ok' if same else 'differs':8}{found}  {name}{expected}")
-    progress.say(", ".join(f"{key} {value}" for key, value in {**machine(), **_versions()}.items()))
+    facts = {**machine(), **{name: version(name) for name in _DECISIVE}}
+    progress.say(", ".join(f"{key} {value}" for key, value in facts.items()))
     if differs:
         raise Failed(f"{len(differs)} of {len(EXPECTED)} differ: {', '.join(differs)}")
-
-
-def _versions() -> dict[str, str]:
-    """Return the versions that decide bytes."""
-    from importlib.metadata import version
-
-    names = ("knotgym", "mujoco", "numpy", "numba", "opencv-python-headless")
-    return {name: version(name) for name in names}
 
 
 def _measured() -> Iterator[tuple[str, str]]:

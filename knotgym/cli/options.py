@@ -65,46 +65,45 @@ class _Field(NamedTuple):
 
     Attributes:
         path: such as "task.horizon", after its section's name.
+        name: the last part of the path.
         owner: the class that it is of.
         kind: type of its value.
         default: its default.
     """
 
     path: str
+    name: str
     owner: type
     kind: Any
     default: Any
 
-    @property
-    def name(self) -> str:
-        """Its last name."""
-        return self.path.rpartition(".")[2]
 
-    def parameter(self, typed: str = "") -> inspect.Parameter:
-        """Return the option that sets it, as cyclopts reads it; it takes text, or is a flag.
+def _option(field: _Field, typed: str) -> inspect.Parameter:
+    """Return the option that sets a field, as cyclopts reads it; it takes text, or is a flag.
 
-        Args:
-            typed: such as "--horizon" or "--keep/--drop"; by default the field's name.
-        """
-        usual = f"--{self.name.replace('_', '-')}"
-        usual += f"/--no-{usual[2:]}" if self.default is True else ""
-        name, _, negative = (typed or usual).partition("/")
-        help = field_help(self.owner, self.name)
-        known = choices(get_type_hints(self.owner, include_extras=True)[self.name])
-        if any(not re.search(rf"\b{re.escape(word)}\b", help) for word in known):
-            help += f" One of {', '.join(known)}."
-        info = Parameter(
-            name=name,
-            metavar=_METAVARS.get(_typed_kind(self.kind)),
-            help=help,
-            negative=negative,
-            group=_RUN_GROUP if self.path.startswith("run.") or self.path == "seed" else _GROUP,
-            show_default=as_typed(self.default) or False,
-        )
-        kind = bool if self.kind is bool else str
-        name, hint = self.path.replace(".", "__"), Annotated[kind | None, info]
-        how = inspect.Parameter.KEYWORD_ONLY
-        return inspect.Parameter(name, how, default=None, annotation=hint)
+    Args:
+        field: that is set.
+        typed: such as "--horizon" or "--keep/--drop"; "" for the field's name.
+    """
+    usual = f"--{field.name.replace('_', '-')}"
+    usual += f"/--no-{usual[2:]}" if field.default is True else ""
+    name, _, negative = (typed or usual).partition("/")
+    help = field_help(field.owner, field.name)
+    known = choices(get_type_hints(field.owner, include_extras=True)[field.name])
+    if any(not re.search(rf"\b{re.escape(word)}\b", help) for word in known):
+        help += f" One of {', '.join(known)}."
+    info = Parameter(
+        name=name,
+        metavar=_METAVARS.get(_typed_kind(field.kind)),
+        help=help,
+        negative=negative,
+        group=_RUN_GROUP if field.path.startswith("run.") or field.path == "seed" else _GROUP,
+        show_default=as_typed(field.default) or False,
+    )
+    kind = bool if field.kind is bool else str
+    name, hint = field.path.replace(".", "__"), Annotated[kind | None, info]
+    how = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, how, default=None, annotation=hint)
 
 
 def command(
@@ -121,7 +120,7 @@ def command(
     sections = {**sections, "run": RunOptions}
     known = {one.path: one for one in _all_fields(sections)}
     words = (word.partition("=") for word in fields.split())
-    options = [known[path].parameter(typed) for path, _, typed in words]
+    options = [_option(known[path], typed) for path, _, typed in words]
 
     def _declare(function: Callable[..., None]) -> App:
         own = [*inspect.signature(function).parameters.values()][1:]
@@ -247,7 +246,7 @@ def _all_fields(sections: Sections) -> Iterator[_Field]:
         hints = get_type_hints(kind)
         for name, hint in ((one.name, hints[one.name]) for one in dataclasses.fields(kind)):
             default = getattr(defaults, name, None)
-            yield _Field(f"{path}{name}", kind, hint, default)
+            yield _Field(f"{path}{name}", name, kind, hint, default)
             if dataclasses.is_dataclass(hint) and isinstance(hint, type):
                 yield from _below(hint, f"{path}{name}.", hint if default is None else default)
 

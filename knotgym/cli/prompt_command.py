@@ -10,7 +10,6 @@ from cyclopts import Parameter
 from knotgym.cli.options import EXISTING, Given, command, run_folder
 from knotgym.common import InvalidInput
 from knotgym.prompting import PromptConfig
-from knotgym.runs import Progress
 
 
 @command(
@@ -53,7 +52,7 @@ def prompt(
         )
     rows = [] if pictures is None else _rows(pictures, split or "test", config.episodes)
     if show:
-        _show(config, rows, out, given.run.overwrite, given.progress)
+        _show(given, config, rows, out)
         return
     if pictures is not None:
         digest = hashlib.sha256(b"".join(row["image"] for row in rows)).hexdigest()
@@ -82,13 +81,7 @@ def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     return rows
 
 
-def _show(
-    config: PromptConfig,
-    rows: list[dict[str, Any]],
-    out: Path | None,
-    overwrite: bool,
-    progress: Progress,
-) -> None:
+def _show(given: Given, config: PromptConfig, rows: list[dict[str, Any]], out: Path | None) -> None:
     """Print the first request of a run; write its pictures to the folder `out`, if given."""
     from knotgym.common import atomic_write, require_output
     from knotgym.prompting import sample_prompt
@@ -96,8 +89,8 @@ def _show(
     text, shown = sample_prompt(config, rows)
     pictures = {} if out is None else {out / f"{name}.png": png for name, png in shown.items()}
     for path in pictures:
-        require_output(path, folder=False, overwrite=overwrite, reads=[])
-    progress.console.print(text, end="", soft_wrap=True, highlight=False, markup=False)
+        require_output(path, folder=False, overwrite=given.run.overwrite, reads=[])
+    given.progress.console.print(text, end="", soft_wrap=True, highlight=False, markup=False)
     for path, png in pictures.items():
-        with atomic_write(path, overwrite=overwrite) as temporary:
+        with atomic_write(path, overwrite=given.run.overwrite) as temporary:
             temporary.write_bytes(png)
