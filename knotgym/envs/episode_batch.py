@@ -48,7 +48,7 @@ class EpisodeBatch:
         hold: int64 (count,), consecutive steps for which the goal must be shown.
         steps: int64 (count,), pulls since the reset.
         held: int64 (count,), consecutive steps for which the goal has been shown.
-        visits, signs, crossings: the Gauss codes now, see `topology.code_arrays`.
+        visits, signs, crossings: the Gauss codes now, see `topology.CodeArrays`.
         wanted: int16 (count, 2 width), the visits of the goals' codes.
         shown: bool (count,), whether a rope shows its goal's code.
         failed: bool (count,), whether the simulation blew up in the last step.

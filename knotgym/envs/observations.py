@@ -130,7 +130,7 @@ class Observer:
 
         Args:
             points: float64 (n, beads, 3), metres.
-            visits: (n, 2 width), the ropes' codes, see `topology.code_arrays`.
+            visits: (n, 2 width), the ropes' codes, see `topology.CodeArrays`.
             goal_points: float64 (beads, 3), metres, a goal common to all; or (n, beads, 3).
             goal_visits: (n, 2 width), the goals' codes.
             pictures: draws the states as `pixels` does; called only if there are pictures.

@@ -32,7 +32,7 @@ class Situation(NamedTuple):
     """What n steps led to, and the goals of their episodes.
 
     Attributes:
-        visits: int16 (n, width), the code that the rope shows, see `topology.code_arrays`.
+        visits: int16 (n, width), the code that the rope shows, see `topology.CodeArrays`.
         goal_visits: int16 (n, width or another), the code of the goal.
         held: int (n,), consecutive steps for which the goal has been shown, this one included,
             within the bound on towing.

@@ -1,6 +1,6 @@
-from .code_arrays import CodeArrays as CodeArrays
 from .crossing_kernel import CROSSING as CROSSING
 from .crossing_kernel import scan as scan
+from .crossings import CodeArrays as CodeArrays
 from .crossings import Crossings as Crossings
 from .crossings import find_crossings as find_crossings
 from .crossings import label as label
