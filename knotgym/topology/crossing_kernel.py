@@ -23,8 +23,8 @@ counted once. The test is exact unless a product of two coordinates over- or und
 Arrays are copied element by element, here and in the other kernels: for a slice assignment numba
 also compiles its error message, which adds seconds to the first run.
 
-After a change run `pytest tests/topology/test_crossings.py
-tests/topology/test_reference_labeller.py` and `python benchmarks/labels.py`: no label may be wrong.
+After a change run `pytest tests/topology/test_crossings.py` and `python benchmarks/labels.py`: no
+label may be wrong.
 """
 
 from collections import namedtuple

@@ -1,16 +1,21 @@
-"""Ropes of a vector environment behave like single environments, in every autoreset mode."""
+"""Ropes of a vector environment behave like single environments, in every autoreset mode; in
+threads, in processes and copied they have the numbers of one alone.
+"""
 
+import copy
 import inspect
 import pickle
 import runpy
+import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput
@@ -216,3 +221,49 @@ def test_gymnasium_1_0_is_enough(states_path: str, monkeypatch: pytest.MonkeyPat
     own = runpy.run_path(str(inspect.getsourcefile(KnotVectorEnv)))  # its lines, run once more
     envs = own["KnotVectorEnv"]("tie", states=states_path, observation="state")
     assert envs.metadata["autoreset_mode"] == "NextStep" and envs.reset(seed=0)[0].shape == (1, 600)
+
+
+def test_vector_environments_in_threads_give_the_numbers_of_one_alone(make: MakeVec) -> None:
+    def play(seed: int, into: dict[int, list[Any]]) -> None:
+        envs = make(num_envs=2, nx=1)
+        into[seed] = [envs.reset(seed=seed), *(envs.step(one) for one in actions(2, 3, seed))]
+
+    alone: dict[int, list[Any]] = {}
+    together: dict[int, list[Any]] = {}
+    for seed in (0, 5):
+        play(seed, alone)
+    threads = [threading.Thread(target=play, args=(seed, together)) for seed in (0, 5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert same([together[0], together[5]], [alone[0], alone[5]])
+
+
+@pytest.mark.parametrize(
+    "context",
+    [
+        "fork",
+        pytest.param("forkserver", marks=pytest.mark.slow),
+        pytest.param("spawn", marks=pytest.mark.slow),
+    ],
+)
+def test_processes_give_the_numbers_of_one_process(states_path: str, context: str) -> None:
+    makers = [partial(KnotEnv, "tie", states=states_path, observation="state")] * 2
+    results = []
+    for envs in (SyncVectorEnv(makers), AsyncVectorEnv(makers, context=context)):
+        seen = [envs.reset(seed=3), *(envs.step(one) for one in actions(2, 3))]
+        results.append(copy.deepcopy(seen))
+        envs.close()
+    assert same(*results)
+
+
+def test_what_happens_to_a_copy_does_not_happen_to_the_first(make: MakeVec) -> None:
+    env, other = make(), make()
+    for one in (env, other):
+        one.reset(seed=0)
+    copied = copy.deepcopy(env)
+    copied.step(np.ones((3, 6), dtype=np.float32))
+    copied.reset(seed=9)
+    (each,) = actions(3, 1)
+    assert same(env.step(each), other.step(each))

@@ -15,6 +15,7 @@ from knotgym.topology import crossing_kernel
 from knotgym.topology.crossings import Crossings, find_crossings, label, label_many
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.reference_labeller import pyknotid_code
 
 
 @njit
@@ -238,7 +239,7 @@ def test_sides_do_not_depend_on_the_order_of_asking(points: np.ndarray) -> None:
     ],
 )
 def test_what_is_no_curve_is_refused(points: np.ndarray, problem: str) -> None:
-    for reader in (label, find_crossings):
+    for reader in (label, find_crossings, pyknotid_code):
         with pytest.raises(InvalidInput, match=problem):
             reader(points)
     if problem == "finite":
@@ -255,3 +256,19 @@ def test_many_crossings_are_all_found() -> None:
         label(points, most=101 * 98 // 2 - 1)
     several = label_many(np.stack([points, np.roll(points, 1, axis=0), points]))
     assert several == [label(points), label(np.roll(points, 1, axis=0)), label(points)]
+
+
+def test_pyknotid_agrees() -> None:
+    """On 40 curves; `benchmarks/labels.py` compares millions of ropes with another labeller."""
+    for seed in range(40):
+        points = random_curve(seed, modes=1 + seed % 8)
+        assert label(points) == pyknotid_code(points), seed
+
+
+def test_scale_prints_and_patches_of_pyknotid_are_kept_from_users(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    for scale in (1e-6, 0.013, 1.0, 1e6):
+        assert pyknotid_code(EIGHT * scale).chiral == "1+c,1-c"
+    assert not {"float", "int", "complex"} & set(vars(np))
+    assert capfd.readouterr() == ("", "")
