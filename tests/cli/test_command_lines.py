@@ -170,6 +170,7 @@ REFUSED = [
     ("collect --settings {mood.toml}", "has no field 'mood'"),
     ("collect --episodes -1", "episodes must be above 0, got -1"),
     ("collect --nx 99", "nx must be from 1 to 11 on 100 beads, got 99"),
+    ("collect --set task.beads=1001", "task.beads must be at most 1000, got 1001"),
     ("collect --task plait", "must be one of unknot, tie, convert or a list, got 'plait'"),
     ("collect --resume --restart", "give only one of them"),
     ("collect --set run.scheduler=tcp://a:1 --workers 2", "--workers 2 is for local processes"),

@@ -235,18 +235,14 @@ def test_a_torn_file_is_refused(path: Path, share: float) -> None:
         read_back(path)
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(MissingFile, match=r"no ours file at .*absent\.h5"):
-        read_back(tmp_path / "absent.h5")
-    with pytest.raises(MissingFile, match="no ours file at"):
-        read_back(tmp_path)
-
-
-def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
+def test_what_is_no_file_is_named(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.h5")
     with pytest.raises(InvalidFile, match="isn't a regular file"):
         read_back(tmp_path / "pipe.h5")
     assert format_of(tmp_path / "pipe.h5") is None
+    for name in ("absent.h5", ""):
+        with pytest.raises(MissingFile, match=rf"no ours file at .*{name}"):
+            read_back(tmp_path / name)
 
 
 def test_a_file_that_a_writer_holds_is_read(path: Path) -> None:

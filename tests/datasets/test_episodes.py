@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_episodes import code_rows, episodes, sign_rows
 
-from knotgym.datasets.episodes import RECORDED, Episodes, fitted, gauss_codes
+from knotgym.datasets.episodes import Episodes, fitted, gauss_codes
 from knotgym.topology import GaussCode
 
 CODES = ["", "1+a,1-a", "1+a,2-c,2+c,1-a"]
@@ -52,14 +52,6 @@ def test_a_code_of_a_hundred_crossings_is_kept_whole() -> None:
     codes = [GaussCode.parse(text) for text in CODES]
     assert gauss_codes(code_rows(codes)).tolist() == [str(code) for code in codes]
     assert gauss_codes(code_rows(codes), sign_rows(codes)).tolist() == CODES
-
-
-def test_a_recording_holds_pulls_alone() -> None:
-    made = episodes([3, 1])
-    kept = made.recording()
-    assert kept.is_recording and not made.is_recording
-    assert kept.steps["bead"] is made.steps["bead"]
-    assert {c.name for c in RECORDED.columns} == kept.episodes.keys()
 
 
 def test_differences_name_episode_step_and_column() -> None:

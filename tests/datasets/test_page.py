@@ -56,12 +56,11 @@ def shown(states_path: str) -> dict[str, Any]:
     return page_data("run", Located(Path(), Path(states_path), (TINY["expert"],)))
 
 
-def test_a_page_holds_states_and_episodes(states: States, shown: dict[str, Any]) -> None:
+def test_a_page_holds_all_states_and_episodes_as_in_the_columns(
+    states: States, shown: dict[str, Any]
+) -> None:
     assert len(shown["states"]) == len(states) and len(shown["episodes"]) == 3
     assert shown["says"] == f"{len(states)} states, 3 episodes"
-
-
-def test_an_episode_of_a_page_is_that_of_the_columns(shown: dict[str, Any]) -> None:
     (own, steps), offsets = (made := open_episodes(TINY["expert"]).episodes), made.offsets
     one, pulls = shown["episodes"][1], slice(offsets[1], offsets[2] - 1)
     assert one["bead"] == [-1, *steps["bead"][pulls].tolist()]

@@ -14,7 +14,7 @@ from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import decode, encode
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
-from knotgym.prompting.prompt_run import run_prompts, sample_prompt
+from knotgym.prompting.prompt_run import run_prompts
 from knotgym.prompting.prompts import FIRST, PromptConfig
 from knotgym.prompting.transcripts import _read_transcripts, reading_scores, show_transcripts
 from knotgym.runs import RunOptions
@@ -218,13 +218,6 @@ def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
     assert scores["accepted"] == {"pictures": 1, "exact": 1, "crossings": 1, "edits": 0}
     facts, table = show_transcripts(tmp_path / "run") or ({}, [])
     assert facts["mode"] == "read" and ("accepted", "1", "100.0 %", "100.0 %", "0.00") in table
-
-
-def test_the_first_request_is_shown_without_sending_it() -> None:
-    text, pictures = sample_prompt(config("http://127.0.0.1:9"))
-    assert text.startswith("--- user\nTask:") and "[picture-3]" in text
-    assert [*pictures] == ["picture-1", "picture-2", "picture-3"]
-    assert pictures["picture-1"] == FIRST.png
 
 
 @pytest.mark.parametrize(

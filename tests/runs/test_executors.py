@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -15,7 +14,6 @@ from typing import Any
 import pytest
 
 from knotgym.common import Failed, InvalidInput
-from knotgym.runs.executors import executor
 from knotgym.runs.journal import Journal
 from knotgym.runs.run_options import RunOptions
 
@@ -26,23 +24,6 @@ from .recipes import RECIPES, content
 with_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed"
 )
-
-
-def _interruptible(_: int) -> bool:
-    """Whether a Ctrl-C would reach this process."""
-    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
-
-
-def _print_interruptible() -> None:
-    with executor(2) as pool:
-        print(json.dumps([*pool.map(_interruptible, range(2)), _interruptible(0)]))
-
-
-@pytest.mark.slow
-def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment_on() -> None:
-    words = [sys.executable, "-c", f"from {__name__} import _print_interruptible as told; told()"]
-    told = subprocess.run(words, capture_output=True, text=True, timeout=SECONDS).stdout
-    assert json.loads(told) == [False, False, True]
 
 
 def on(scheduler: str) -> RunOptions:

@@ -3,7 +3,6 @@
 """
 
 import os
-import resource
 import signal
 import subprocess
 import time
@@ -32,17 +31,6 @@ def mounted(folder: Path) -> Iterator[None]:
         yield
     finally:
         subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-def test_a_limit_on_files_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
-    try:
-        assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path) == 1
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    (line,) = capfd.readouterr().err.splitlines()
-    assert line.startswith("knotgym: File too large") and not (tmp_path / "a-v0").exists()
 
 
 def test_a_read_only_target_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,9 +11,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -136,8 +135,7 @@ def test_results_stay_in_memory_without_a_journal_and_threads_compute_too() -> N
         compute(recipe(), shard=Shard(1, 2))
 
 
-@contextmanager
-def interrupted(out: Path, after: int = 7) -> Iterator[None]:
+def interrupted(out: Path, after: int = 7) -> None:
     """Leave a run that was interrupted after some results."""
     kept = Journal.__setitem__
 
@@ -149,18 +147,17 @@ def interrupted(out: Path, after: int = 7) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(Journal, "__setitem__", keep)
         made_toy(out, QUIET)
-    yield
 
 
 def test_an_interrupted_run_is_continued_or_deleted_only_on_request(tmp_path: Path) -> None:
     out = tmp_path / "a"
-    with interrupted(out):
-        assert not out.exists()
-        with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
-            made_toy(out, QUIET)
-        with pytest.raises(InvalidInput, match="toy is 0 there and 1 here"):
-            run(toy, out, Identity({"config": {"toy": 1}}), RESUMED)
-        run(toy, out, Identity({"config": {"toy": 1}}), replace(QUIET, restart=True))
+    interrupted(out)
+    assert not out.exists()
+    with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
+        made_toy(out, QUIET)
+    with pytest.raises(InvalidInput, match="toy is 0 there and 1 here"):
+        run(toy, out, Identity({"config": {"toy": 1}}), RESUMED)
+    run(toy, out, Identity({"config": {"toy": 1}}), replace(QUIET, restart=True))
     with pytest.raises(Occupied):
         made_toy(out, QUIET)
     assert made_toy(out, replace(QUIET, overwrite=True)) == out
@@ -179,10 +176,10 @@ def test_what_is_finished_is_found_before_anything_is_computed(
 
 
 def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
-    with interrupted(tmp_path / "a", after=30), pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tests.runs.recipes.drawn", None)
-        with pytest.raises(TypeError):  # the next batch calls it
-            made_toy(tmp_path / "a", RESUMED)
+    interrupted(tmp_path / "a", after=30)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(TypeError):
+        patch.setattr("tests.runs.recipes.drawn", None)  # which the next batch calls
+        made_toy(tmp_path / "a", RESUMED)
     assert made_toy(tmp_path / "a", RESUMED)
 
 
