@@ -291,10 +291,8 @@ def test_states_that_do_not_fit_are_refused_in_one_line_with_what_the_file_has(
     loopless = file("s.h5", states.take(np.flatnonzero(states.nx > 0)))
     train = file("train.h5", states.take(np.flatnonzero(states.split == "train")))
     other = file("other.h5", replace(states, attributes={"rope": "0123456789abcdef"}))
-    missing = (
-        "nx = {0} in split 'train' of .*nx3.h5, .* nx = {1}; it has nx 3 .train, test. of 0_1. "
-    )
-    missing += " 0_1. Generate some: knotgym-generate --nx {0}$"
+    missing = "nx = {0} in split 'train' of .*nx3.h5, .* nx = {1}; it has nx 3 .train, test. "
+    missing += "of 0_1. Generate some: knotgym-generate --nx {0}$"
     wrong: list[tuple[Any, dict[str, Any], str]] = [
         ("unknot", {"nx": 2, "states": only_nx3}, missing.format(2, 2)),
         ("tie", {"nx": 6, "states": only_nx3}, missing.format(6, 6)),
