@@ -26,13 +26,6 @@ ROOT = Path(__file__).parents[1]
 DRAWING = {f"mujoco.{name}" for name in ("renderer", "rendering", "egl", "osmesa", "glfw")}
 HEAVY = {"torch", "dask", "minari", "pandas", "pyarrow", "pyknotid", "matplotlib", "OpenGL", "glfw"}
 
-# What fresh interpreters are asked to import; the links are named after rooms.
-CORE = (
-    "import knotgym.envs.environment, knotgym.topology.crossings, knotgym.topology.knots,"
-    " knotgym.topology.reference_labeller, knotgym.rendering.picture"
-)
-STATES = "import knotgym.states.state_file, knotgym.common.atomic_files"
-LINKED = ("generate", "datasets", "loaders")
 ERRORS = [
     one
     for one in vars(importlib.import_module("knotgym.common.errors")).values()
@@ -40,16 +33,10 @@ ERRORS = [
 ]
 
 
-def made_alone(task: str, states_path: str) -> str:
-    """The statement that makes an environment where nothing of ours was imported before."""
-    made = f"gymnasium.make('knotgym:knotgym/{task}-v0', states={states_path!r})"
-    return f"import gymnasium; {made}.reset(seed=0)"
-
-
 @pytest.mark.thorough
-@pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
-def test_a_task_made_alone_imports_no_learner_nor_renderer(states_path: str, task: str) -> None:
-    modules = modules_after(made_alone(task, states_path))
+def test_a_task_made_alone_imports_no_learner_nor_renderer(states_path: str) -> None:
+    made = f"gymnasium.make('knotgym:knotgym/Convert-v0', states={states_path!r}).reset(seed=0)"
+    modules = modules_after(f"import gymnasium; {made}")
     assert "knotgym.envs.environment" in modules
     assert (modules - modules_after("import mujoco.batch")) & (HEAVY | DRAWING) == set()
 
@@ -78,7 +65,7 @@ def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> N
 
 def test_datasets_do_not_import_the_environment() -> None:
     above = {"knotgym.envs.environment", "knotgym.rope.interface", "mujoco"}
-    assert modules_after(STATES) & above == set()
+    assert modules_after("import knotgym.states.state_file") & above == set()
 
 
 def test_the_main_job_imports_only_what_it_uses(tmp_path: Path) -> None:
@@ -98,12 +85,6 @@ def test_every_marker_of_the_tests_runs_in_ci() -> None:
     for marker in markers["markers"]:
         name = marker.partition(":")[0]
         assert re.search(rf"^[^#\n]*pytest\S* .*-m {name}\b", steps, re.M), name
-
-
-def test_nothing_is_imported_through_the_links() -> None:
-    rooms = [modules_after(f"import knotgym.{room}") for room in LINKED]
-    modules = frozenset.union(modules_after(CORE), modules_after(STATES), *rooms)
-    assert modules & {*LINKED} == set()
 
 
 def test_the_version_is_that_of_the_distribution() -> None:

@@ -58,24 +58,13 @@ def goal_is_shown(episodes: EpisodeBatch, index: int) -> None:
 @pytest.fixture
 def make(states_path: str) -> Make:
     """Create an unwrapped environment on the small state file."""
-
-    def made(task: Any = "unknot", **settings: Any) -> KnotEnv:
-        return KnotEnv(task, **{"states": states_path, "observation": "state", **settings})
-
-    return made
+    return partial(KnotEnv, states=states_path, observation="state")
 
 
 @pytest.fixture
 def registered(states_path: str) -> Callable[..., gym.Env[Any, Any]]:
     """Create an environment by its id, on the small state file."""
-
-    def made(task: str = "unknot", **settings: Any) -> gym.Env[Any, Any]:
-        return gym.make(
-            f"knotgym/{task.capitalize()}-v0",
-            **{"states": states_path, "observation": "state", **settings},
-        )
-
-    return made
+    return partial(gym.make, states=states_path, observation="state")
 
 
 @pytest.mark.parametrize(
@@ -96,7 +85,7 @@ def test_gymnasium_finds_no_fault(
         warnings.simplefilter("error")
         # coordinates have no bounds
         warnings.filterwarnings("ignore", message=".*(infinity|-infinity).*")
-        check_env(registered(task, **settings).unwrapped)
+        check_env(registered(f"knotgym/{task.capitalize()}-v0", **settings).unwrapped)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -317,9 +306,9 @@ def test_states_that_do_not_fit_are_refused_in_one_line_with_what_the_file_has(
     # the folder of a run names its states
     (tmp_path / "run").mkdir()
     with pytest.raises(MissingFile, match="no .* file at .*run"):
-        make(states=str(tmp_path / "run"))
+        make("unknot", states=str(tmp_path / "run"))
     (tmp_path / "run" / "states.h5").write_bytes(Path(states_path).read_bytes())
-    assert task_sides(make(states=str(tmp_path / "run")).config)[0][0].origin == "own"
+    assert task_sides(make("unknot", states=str(tmp_path / "run")).config)[0][0].origin == "own"
 
 
 def test_numeric_infos_say_the_same_in_integers(make: Make) -> None:
@@ -376,10 +365,10 @@ def test_environments_in_one_process_do_not_share(make: Make, states: States) ->
 
 
 @pytest.mark.parametrize("observation", MODES)
-def test_a_pickled_environment_goes_on_as_the_first(
+def test_a_pickled_environment_goes_on(
     registered: Callable[..., gym.Env[Any, Any]], observation: str
 ) -> None:
-    env = registered("tie", observation=observation, horizon=6)
+    env = registered("knotgym/Tie-v0", observation=observation, horizon=6)
     rollout(env, 0, steps=3)
     again = pickle.loads(pickle.dumps(env))
     rng = np.random.default_rng(1)
@@ -452,11 +441,11 @@ def test_a_registered_task_is_played_as_its_crossings_say() -> None:
 SHORT: dict[str, Any] = {"engine": "chain", "observation": "state", "horizon": 4}
 
 
-def test_a_spec_survives_json_with_its_horizon(
-    registered: Callable[..., gym.Env[Any, Any]],
-) -> None:
+def test_a_spec_survives_json_with_horizon(registered: Callable[..., gym.Env[Any, Any]]) -> None:
     settings: dict[str, Any] = {"nx": 3, "split": "test", "reset_noise": 0.01, "action": "bead"}
-    env: Any = registered("convert", hold=2, rope={"joint_damping": 0.02}, **settings, **SHORT)
+    env: Any = registered(
+        "knotgym/Convert-v0", hold=2, rope={"joint_damping": 0.02}, **settings, **SHORT
+    )
     again: Any = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert again.spec == env.spec and pickle.loads(pickle.dumps(env.spec)) == env.spec
     assert again.unwrapped.config == env.unwrapped.config

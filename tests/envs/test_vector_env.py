@@ -39,13 +39,7 @@ def actions(count: int, steps: int, seed: int = 0) -> NDArray[np.float32]:
 @pytest.fixture
 def make(states_path: str) -> MakeVec:
     """Create a vector environment on the small state file."""
-
-    def made(task: str = "tie", num_envs: int = 3, **settings: Any) -> KnotVectorEnv:
-        return KnotVectorEnv(
-            task, num_envs, **{"states": states_path, "observation": "state", **settings}
-        )
-
-    return made
+    return partial(KnotVectorEnv, num_envs=3, states=states_path, observation="state")
 
 
 @pytest.fixture
@@ -65,7 +59,7 @@ def synced(states_path: str) -> Callable[..., SyncVectorEnv]:
 def test_threads_change_no_byte_of_observations_codes_and_rewards(make: MakeVec) -> None:
     """Seven ropes on three threads aren't divided evenly; episodes end and begin again."""
     told = {"observation": "both", "views": ["top", "left"], "engine": "chain", "horizon": 2}
-    one, three = (make(num_envs=7, threads=count, **told) for count in (1, 3))
+    one, three = (make("tie", num_envs=7, threads=count, **told) for count in (1, 3))
     assert same(one.reset(seed=0), three.reset(seed=0))
     for pull in actions(7, 4):
         assert same(one.step(pull), three.step(pull))
@@ -113,10 +107,8 @@ def test_steps_and_autoresets_are_those_of_single_environments(
     assert ended >= 6
 
 
-def test_ropes_end_and_start_over_alone(
-    make: MakeVec, synced: Callable[..., SyncVectorEnv]
-) -> None:
-    envs, singles = make(horizon=3), synced(horizon=3)
+def test_ropes_end_and_start_alone(make: MakeVec, synced: Callable[..., SyncVectorEnv]) -> None:
+    envs, singles = make("tie", horizon=3), synced(horizon=3)
     second: Any = singles.envs[1]
     envs.reset(seed=0), singles.reset(seed=0)
     for step, each in enumerate(actions(3, 10)):
@@ -135,7 +127,7 @@ def test_without_autoreset_masked_resets_are_those_of_single_environments(
     make: MakeVec, synced: Callable[..., SyncVectorEnv]
 ) -> None:
     settings: dict[str, Any] = {"horizon": 2, "autoreset_mode": "Disabled"}
-    envs, singles = make(**settings), synced(**settings)
+    envs, singles = make("tie", **settings), synced(**settings)
     third: Any = singles.envs[2]
     masked = 0
     assert same(envs.reset(seed=0), singles.reset(seed=0))
@@ -154,7 +146,7 @@ def test_without_autoreset_masked_resets_are_those_of_single_environments(
 
 
 def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec) -> None:
-    envs = make(horizon=1)
+    envs = make("tie", horizon=1)
     envs.reset(seed=0)
     before = envs.episodes.simulation.states()
     for bad in (np.full((3, 6), 1.01), np.zeros((2, 6))):
@@ -165,7 +157,7 @@ def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec) -> None:
 
 
 def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
-    envs, others = make(), make()
+    envs, others = make("tie"), make("tie")
     envs.reset(seed=0), others.reset(seed=0)
     blow_up(envs.episodes.simulation, 1)
     each = actions(3, 2)
@@ -179,19 +171,19 @@ def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
 
 
 def test_a_step_needs_every_rope_to_have_been_reset(make: MakeVec) -> None:
-    envs = make(horizon=1, autoreset_mode="disabled")
+    envs = make("tie", horizon=1, autoreset_mode="disabled")
     envs.reset(seed=0)
     envs.step(np.zeros((3, 6), np.float32))
     with pytest.raises(InvalidInput, match=r"episodes \[0, 1, 2\] have ended"):
         envs.step(np.zeros((3, 6), np.float32))
-    envs = make()
+    envs = make("tie")
     envs.reset(options={"reset_mask": np.array([True, False, True])})
     with pytest.raises(ResetNeeded, match="before its first step"):
         envs.step(np.zeros((3, 6), np.float32))
 
 
 def test_a_pickled_vector_environment_goes_on_and_infos_are_copies(make: MakeVec) -> None:
-    envs = make(horizon=3)
+    envs = make("tie", horizon=3)
     envs.reset(seed=0)
     first = envs.step(actions(3, 1)[0])
     kept, again = pickle.loads(pickle.dumps((first, envs)))
@@ -201,18 +193,18 @@ def test_a_pickled_vector_environment_goes_on_and_infos_are_copies(make: MakeVec
 
 
 def test_render_gives_one_picture_a_rope(make: MakeVec) -> None:
-    envs = make(observation="pixels")
+    envs = make("tie", observation="pixels")
     observations = envs.reset(seed=0)[0]
     pictures = envs.render()
     assert pictures is not None and np.array_equal(np.stack(pictures), observations)
-    assert make(render_mode=None).render() is None
+    assert make("tie", render_mode=None).render() is None
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_the_autoreset_mode_stands_in_the_metadata(make: MakeVec, mode: str) -> None:
     known = AutoresetMode or str
-    assert make(autoreset_mode=known(mode)).metadata["autoreset_mode"] == known(mode)
-    assert make(autoreset_mode=mode).metadata["autoreset_mode"] == known(mode)
+    assert make("tie", autoreset_mode=known(mode)).metadata["autoreset_mode"] == known(mode)
+    assert make("tie", autoreset_mode=mode).metadata["autoreset_mode"] == known(mode)
     assert KnotVectorEnv.metadata["autoreset_mode"] == known("NextStep")
 
 
@@ -225,7 +217,7 @@ def test_gymnasium_1_0_is_enough(states_path: str, monkeypatch: pytest.MonkeyPat
 
 def test_vector_environments_in_threads_give_the_numbers_of_one_alone(make: MakeVec) -> None:
     def play(seed: int, into: dict[int, list[Any]]) -> None:
-        envs = make(num_envs=2, nx=1)
+        envs = make("tie", num_envs=2, nx=1)
         into[seed] = [envs.reset(seed=seed), *(envs.step(one) for one in actions(2, 3, seed))]
 
     alone: dict[int, list[Any]] = {}
@@ -259,7 +251,7 @@ def test_processes_give_the_numbers_of_one_process(states_path: str, context: st
 
 
 def test_what_happens_to_a_copy_does_not_happen_to_the_first(make: MakeVec) -> None:
-    env, other = make(), make()
+    env, other = make("tie"), make("tie")
     for one in (env, other):
         one.reset(seed=0)
     copied = copy.deepcopy(env)

@@ -66,7 +66,7 @@ HARMS: list[tuple[str, Callable[[Path], Any]]] = [
 
 
 @pytest.mark.parametrize(("says", "harm"), HARMS)
-def test_a_harmed_checkpoint_is_refused_in_one_line(
+def test_a_harmed_checkpoint_is_refused(
     learner: Path, tmp_path: Path, says: str, harm: Callable[[Path], Any]
 ) -> None:
     from knotgym.learn.checkpoint import load_reader

@@ -64,9 +64,7 @@ def test_it_acts_on_pictures_alone_and_the_same_every_time(learner: Path, shown:
     assert np.array_equal(acted, actions(learner, shown))
 
 
-def test_networks_use_one_thread(
-    learner: Path, shown: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_thread_is_enough(learner: Path, shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     import torch
 
     from knotgym.learn.reader import BeadNetwork

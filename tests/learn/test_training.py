@@ -63,7 +63,7 @@ def test_the_curve_and_the_card_say_how_it_was_trained(learner: Path) -> None:
         ({"integrator_steps": 30, "engine": "mujoco"}, "30 integrator steps"),
     ],
 )
-def test_episodes_of_another_kind_are_refused(
+def test_other_kinds_are_refused(
     changes: Any, message: str, played: Episodes, tmp_path: Path
 ) -> None:
     other = published(tmp_path, played, replace(TASK, **changes))
@@ -168,9 +168,7 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
 
 
 @pytest.mark.parametrize("what", ["macro-actions", "success", "states"])
-def test_training_is_not_resumed_with_other_files(
-    what: str, played: Episodes, tmp_path: Path
-) -> None:
+def test_training_resumes_with_its_files(what: str, played: Episodes, tmp_path: Path) -> None:
     out = tmp_path / "out"
     config, data, states = CLONE, [published(tmp_path, played)], tmp_path / "states.h5"
     if what == "states":

@@ -58,7 +58,7 @@ OWNERS = np.repeat(np.arange(S), LENGTHS)
 
 
 @pytest.mark.parametrize("block", [5, 1024])
-def test_arrays_are_aligned(
+def test_rows_align(
     made: Episodes, path: Path, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("knotgym.loaders.drawn_frames._BLOCK", block)  # of states that are copied

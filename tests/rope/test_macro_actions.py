@@ -23,7 +23,7 @@ def drawn(rope: Rope, count: int = 300, seed: int = 0) -> list[MacroAction]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_only_passes_and_curls_have_a_strand_to_pass(
+def test_passes_and_curls_pass_strands(
     rope: Rope, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shares = np.cumsum([one == kind for one in KINDS])

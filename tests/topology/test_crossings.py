@@ -117,7 +117,7 @@ def test_all_readers_agree_and_described_crossings_spell_the_code(seed: int) -> 
     st.floats(1e-3, 1e3),
     arrays(np.float64, 3, elements=st.floats(-1.0, 1.0)),
 )
-def test_a_code_survives_rotation_about_z_shift_and_scale(
+def test_a_code_survives_turn_shift_and_scale(
     seed: int, angle: float, scale: float, shift: np.ndarray
 ) -> None:
     points = random_curve(seed)
@@ -265,9 +265,7 @@ def test_pyknotid_agrees() -> None:
         assert label(points) == pyknotid_code(points), seed
 
 
-def test_scale_prints_and_patches_of_pyknotid_are_kept_from_users(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_scale_prints_and_patches_of_pyknotid_are_hidden(capfd: pytest.CaptureFixture[str]) -> None:
     for scale in (1e-6, 0.013, 1.0, 1e6):
         assert pyknotid_code(EIGHT * scale).chiral == "1+c,1-c"
     assert not {"float", "int", "complex"} & set(vars(np))
