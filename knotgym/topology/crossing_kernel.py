@@ -5,20 +5,14 @@ The search runs in five steps:
 0. `_distinct`: vertices on the spot of the one before are taken out, as edges without a length
    cross nothing; their neighbours would seem to cross each other.
 1. `_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
-   neighbouring edges rule out most pairs; four exact orientation tests (`_side`) decide the rest.
+   neighbouring edges rule out most pairs; on which sides of each other they lie decides the rest.
 2. `_locate`: each hit h has two strands, strand 2 h on edge i and strand 2 h + 1 on edge j. Find
    where along its edge (fraction in [0, 1]) and at which height each strand passes the crossing.
 3. `_walk`: sort the strands by their position along the rope.
 4. `scan`: follow the walk, number the crossings in order of first visit, and compare heights.
 
-`_side` tells exactly on which side of a line a point lies, and never that it lies on the line. The
-sign of a 2 x 2 determinant is computed in floating point where an error bound guarantees it, and in
-exact expansion arithmetic otherwise (J. R. Shewchuk, "Adaptive Precision Floating-Point Arithmetic
-and Fast Robust Geometric Predicates", 1997). If the determinant is exactly zero, the tie is broken
-symbolically, as if bead k were moved in x and then in y by amounts each infinitely smaller than all
-before (H. Edelsbrunner and E. P. Muecke, "Simulation of Simplicity", 1990). All answers together
-are then those of one curve in general position, so a strand that passes exactly over a bead is
-counted once. The test is exact unless a product of two coordinates over- or underflows.
+All answers are exact, without a tolerance: floating point decides where a bound on its error allows
+it, and `exact_signs` otherwise.
 
 Arrays are copied element by element, here and in the other kernels: for a slice assignment numba
 also compiles its error message, which adds seconds to the first run.
@@ -33,6 +27,7 @@ import numpy as np
 from numba import njit
 
 from knotgym.common import inlined, inner
+from knotgym.topology.exact_signs import FILTER, HALF_ULP, height_order, line_order, side
 
 Columns = namedtuple("Columns", "over_place under_place over_z under_z sign x y")
 CROSSING = Columns(*range(7))  # columns of the table of crossings
@@ -45,11 +40,6 @@ ALL = np.iinfo(np.int64).max  # crossings
 SAME = 2.0**-48
 # about speed alone
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
-
-_HALF_ULP = 2.0**-53  # rounding error of one operation, relative
-# Shewchuk's ccwerrboundA: |error of the determinant| <= _FILTER * (|left| + |right|)
-_FILTER = (3.0 + 16.0 * _HALF_ULP) * _HALF_ULP
-_SPLITTER = 2.0**27 + 1.0  # splits the 53 bits of a float64 into two halves that multiply exactly
 
 
 @njit(cache=True, nogil=True)
@@ -68,8 +58,8 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
         return False, np.empty(0, np.int64), np.empty((0, 7))
     points, edges = _distinct(points)
     hits = _hits(points, ALL)
-    fractions, heights = _locate(points, hits)
-    walk = _walk(points.shape[0], hits, fractions)
+    fractions, heights, errors = _locate(points, hits)
+    walk = _walk(points, hits, fractions, errors)
     visits = np.empty(len(walk), np.int64)
     table = np.empty((len(hits), 7))
     first_visits = np.empty(len(hits), np.int64)  # per hit the signed label; 0: not yet visited
@@ -81,7 +71,11 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
             nx += 1
             # `strand ^ 1` is the other strand of the same hit. At equal heights the strand that is
             # visited first counts as the upper one, so the code is always well defined.
-            over = walk[k] if heights[walk[k]] >= heights[walk[k] ^ 1] else walk[k] ^ 1
+            one, other = walk[k], walk[k] ^ 1
+            above = heights[one] - heights[other]
+            if abs(above) <= errors[one, 1] + errors[other, 1]:
+                above = height_order(points, hits[h, one % 2], hits[h, other % 2])
+            over = one if above >= 0 else other
             row = table[nx - 1]
             row[CROSSING.over_place] = edges[hits[h, over % 2]] + fractions[over]
             row[CROSSING.under_place] = edges[hits[h, 1 - over % 2]] + fractions[over ^ 1]
@@ -259,71 +253,82 @@ def _hits(points: np.ndarray, most: int) -> np.ndarray:
 def _crosses(points: np.ndarray, i: int, j: int) -> int:
     """Return 0 if edges i and j don't cross, else the side of edge i on which edge j ends.
 
-    Two segments cross if each separates the end points of the other. `_side` is never 0, so there
+    Two segments cross if each separates the end points of the other. `side` is never 0, so there
     is no touching case.
     """
     beads = points.shape[0]
     i_end, j_end = (i + 1) % beads, (j + 1) % beads
     # the side of edge i on which edge j ends, and on which it begins: equal if j lies on one side
-    turn: int = _side(points, i, i_end, j_end)
-    if _side(points, i, i_end, j) == turn:
+    turn: int = side(points, i, i_end, j_end)
+    if side(points, i, i_end, j) == turn:
         return 0
-    if _side(points, j, j_end, i) == _side(points, j, j_end, i_end):
+    if side(points, j, j_end, i) == side(points, j, j_end, i_end):
         return 0
     return turn
 
 
 @inlined
-def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find where each strand passes its crossing.
 
     Returns:
         fractions: float64 (2 n,), in [0, 1] along the strand's edge.
         heights: float64 (2 n,), z there, metres.
+        errors: float64 (2 n, 2), bounds on the rounding errors of both.
     """
     beads = points.shape[0]
     fractions, heights = np.empty(2 * len(hits)), np.empty(2 * len(hits))
+    errors = np.empty((2 * len(hits), 2))
     for h in range(len(hits)):
         for late in range(2):  # 0: the strand on edge i of the hit, 1: the one on edge j
-            i, j = hits[h, late], hits[h, 1 - late]
-            fraction = _fraction(points, i, (i + 1) % beads, j, (j + 1) % beads)
-            fractions[2 * h + late] = fraction
-            climb = points[(i + 1) % beads, 2] - points[i, 2]
-            heights[2 * h + late] = points[i, 2] + fraction * climb
-    return fractions, heights
+            i, j, strand = hits[h, late], hits[h, 1 - late], 2 * h + late
+            fraction, error = _fraction(points, i, (i + 1) % beads, j, (j + 1) % beads)
+            low, high = points[i, 2], points[(i + 1) % beads, 2]
+            fractions[strand], heights[strand] = fraction, low + fraction * (high - low)
+            errors[strand, 0] = error
+            errors[strand, 1] = error * abs(high - low) + 4 * HALF_ULP * (abs(low) + abs(high))
+    return fractions, heights, errors
 
 
 @inlined
-def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> float:
-    """Return how far along the edge from i to i_end it meets the edge from j to j_end, in [0, 1].
+def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> tuple[float, float]:
+    """Return how far along the edge from i to i_end it meets that from j to j_end, and its error.
 
     With d the direction of edge j, the signed distance from its line is proportional to
     d x (p - p_j). It is linear along edge i, so its zero follows from its two end values.
     """
     dx, dy = points[j_end, 0] - points[j, 0], points[j_end, 1] - points[j, 1]
-    before = dx * (points[i, 1] - points[j, 1]) - dy * (points[i, 0] - points[j, 0])
-    after = dx * (points[i_end, 1] - points[j, 1]) - dy * (points[i_end, 0] - points[j, 0])
+    left, right = dx * (points[i, 1] - points[j, 1]), dy * (points[i, 0] - points[j, 0])
+    before, size = left - right, abs(left) + abs(right)
+    left, right = dx * (points[i_end, 1] - points[j, 1]), dy * (points[i_end, 0] - points[j, 0])
+    after, size = left - right, size + abs(left) + abs(right)
     # clip: rounding may put the zero just outside the edge
     if before != after:
-        return float(min(max(before / (before - after), 0.0), 1.0))
+        # The end values are off by FILTER * size together, and have other signs. So the fraction is
+        # off by at most twice that, relative to their difference, unless it is of no use.
+        error = 4 * FILTER * size / abs(before - after) + 4 * HALF_ULP
+        return float(min(max(before / (before - after), 0.0), 1.0)), error
     # The edges are collinear, or one has no length: take the middle of what they share, measured
     # on the axis along which edge i is longer.
     axis = 0 if abs(points[i_end, 0] - points[i, 0]) >= abs(points[i_end, 1] - points[i, 1]) else 1
     start, end = points[i, axis], points[i_end, axis]
     if start == end:
-        return 0.5
+        return 0.5, 0.0
     low = max(min(start, end), min(points[j, axis], points[j_end, axis]))
     high = min(max(start, end), max(points[j, axis], points[j_end, axis]))
-    return float((0.5 * (low + high) - start) / (end - start))
+    return float((0.5 * (low + high) - start) / (end - start)), 0.0
 
 
 @inlined
-def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+def _walk(
+    points: np.ndarray, hits: np.ndarray, fractions: np.ndarray, errors: np.ndarray
+) -> np.ndarray:
     """Sort the strands by position along the rope, int64 (2 n,).
 
     A counting sort by edge, with an insertion sort by fraction within each edge: few edges have
     more than one strand.
     """
+    beads = points.shape[0]
     # starts[e] : starts[e + 1] is the range of the walk that belongs to edge e
     starts, filled = np.empty(beads + 1, np.int64), np.empty(beads, np.int64)
     starts[:] = 0
@@ -339,105 +344,15 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
         slot = filled[edge]
         filled[edge] += 1
         # insertion from behind: strands of one edge that are farther along move up
-        while slot > starts[edge] and fractions[walk[slot - 1]] > fractions[strand]:
-            walk[slot] = walk[slot - 1]
+        while slot > starts[edge]:
+            before = walk[slot - 1]
+            ahead = fractions[before] - fractions[strand]
+            if abs(ahead) <= errors[before, 0] + errors[strand, 0]:
+                crossed = hits[before // 2, 1 - before % 2], hits[strand // 2, 1 - strand % 2]
+                ahead = line_order(points, edge, crossed[0], crossed[1])
+            if ahead <= 0:
+                break
+            walk[slot] = before
             slot -= 1
         walk[slot] = strand
     return walk
-
-
-@inner
-def _side(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """Return on which side bead c lies, seen along the line from bead a to bead b.
-
-    Args:
-        points: float64 (n, 2 or more); x and y are used.
-        a, b, c: three different rows.
-
-    Returns:
-        +1 on the left, -1 on the right.
-    """
-    # (a - c) x (b - c), which has the sign of (b - a) x (c - a)
-    left = (points[a, 0] - points[c, 0]) * (points[b, 1] - points[c, 1])
-    right = (points[a, 1] - points[c, 1]) * (points[b, 0] - points[c, 0])
-    determinant = left - right
-    bound = _FILTER * (abs(left) + abs(right))
-    if determinant > bound:
-        return 1
-    if determinant < -bound:
-        return -1
-    sign: int = _exact_sign(
-        points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
-    )
-    if sign == 0:
-        sign = _tie(points, a, b, c)
-    return sign
-
-
-@inlined
-def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """Break a tie by the first perturbation term that doesn't vanish.
-
-    The determinant of the perturbed beads is a polynomial in the infinitesimal moves. Its terms are
-    looked at from the largest down; each is the determinant's derivative by one move.
-    """
-    # Sort the rows, counting swaps: a move of a lower row is infinitely larger.
-    sign = 1
-    if a > b:
-        a, b, sign = b, a, -sign
-    if b > c:
-        b, c, sign = c, b, -sign
-    if a > b:
-        a, b, sign = b, a, -sign
-    if points[b, 1] != points[c, 1]:  # d/d(a_x) = b_y - c_y
-        return sign if points[b, 1] > points[c, 1] else -sign
-    if points[b, 0] != points[c, 0]:  # d/d(a_y) = c_x - b_x
-        return sign if points[c, 0] > points[b, 0] else -sign
-    if points[c, 1] != points[a, 1]:  # d/d(b_x) = c_y - a_y
-        return sign if points[c, 1] > points[a, 1] else -sign
-    return -sign  # d2/d(a_y) d(b_x) = -1, a constant
-
-
-@inner
-def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> int:
-    """Return the exact sign of (b - a) x (c - a).
-
-    The determinant is expanded into six products, ax by - ax cy + bx cy - bx ay + cx ay - cx by.
-    Each is held as a sum of two floats, and the twelve floats are added without rounding.
-    """
-    factors = (ax, by, -ax, cy, bx, cy, -bx, ay, cx, ay, -cx, by)
-    # An expansion in Shewchuk's sense: its floats don't overlap and grow in magnitude, so the last
-    # one that isn't zero has the sign of the sum.
-    total = np.empty(12)
-    length = 0
-    for k in range(6):
-        high, low = _product(factors[2 * k], factors[2 * k + 1])
-        for part in (low, high):
-            # GROW-EXPANSION: push `part` through by TWO-SUM, leaving each rounding error behind
-            carry = part
-            for m in range(length):
-                upper = carry + total[m]
-                virtual = upper - carry
-                total[m] = (carry - (upper - virtual)) + (total[m] - virtual)
-                carry = upper
-            total[length] = carry
-            length += 1
-    for m in range(length - 1, -1, -1):
-        if total[m] != 0.0:
-            return 1 if total[m] > 0.0 else -1
-    return 0
-
-
-@inner
-def _product(u: float, v: float) -> tuple[float, float]:
-    """Return u * v exactly, as the rounded product and its rounding error (Dekker, Veltkamp)."""
-    high = u * v
-    # Veltkamp's split: u = u_high + u_low, each with at most 26 bits
-    scaled = _SPLITTER * u
-    u_high = scaled - (scaled - u)
-    u_low = u - u_high
-    scaled = _SPLITTER * v
-    v_high = scaled - (scaled - v)
-    v_low = v - v_high
-    low = u_low * v_low - (((high - u_high * v_high) - u_low * v_high) - u_high * v_low)
-    return high, low

@@ -11,7 +11,7 @@ from numba import njit
 
 from knotgym.common import InvalidInput
 from knotgym.states import read_states, shipped
-from knotgym.topology import crossing_kernel
+from knotgym.topology import exact_signs
 from knotgym.topology.crossings import Crossings, find_crossings, label, label_many
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
@@ -20,8 +20,8 @@ from knotgym.topology.reference_labeller import pyknotid_code
 
 @njit
 def side(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """Call `crossing_kernel._side`, which Python can't."""
-    return int(crossing_kernel._side(points, a, b, c))
+    """Call `exact_signs.side`, which Python can't."""
+    return int(exact_signs.side(points, a, b, c))
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> float:
