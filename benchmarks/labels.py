@@ -12,9 +12,9 @@ The labeller here shares no code with the package. It decides signs of orientati
 two crossings on one edge and the order of two heights in floating point where a bound on the
 rounding error allows it (`_certain`), and otherwise labels the whole rope in rational numbers
 (`_code`). The margin of such a rope is its smallest difference of two places or two heights, in
-units of the rounding error that the formulas have in float64. It is unclear up to 1: the package
-computes these two orders in float64, so its label may then differ. Whether strands cross is exact
-in both.
+units of the rounding error that the formulas have in float64. Below 1 floating point alone could
+not tell. At 0 the label is unclear: two crossings are at one place, two strands equally high, or
+three beads in line, and each labeller may break the tie in its own way.
 """
 
 from __future__ import annotations
@@ -286,7 +286,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("labels.json"))
     args = parser.parse_args()
     sizes = {"seed": args.seed, "chunk": args.chunk}
-    told = {**sizes, "chunks": 0, "seconds": 0.0, "counts": {}, "doubts": []}
+    told = {**sizes, "chunks": 0, "seconds": 0.0, "counts": {}, "wrong": []}
     if args.out.exists():
         told = json.loads(args.out.read_text())
         if any(told[name] != value for name, value in sizes.items()):
@@ -299,14 +299,13 @@ def main() -> None:
             ours = [code.chiral for code in label_many(points[[*exact]])]
             for (row, (code, margin)), our in zip(exact.items(), ours, strict=True):
                 same[row] = code == our
-                if unclear := margin <= 1:
-                    told["doubts"].append([told["chunks"], way, row, margin, bool(same[row])])
-                counts[f"{way}: unclear"] += unclear
-                counts[f"{way}: unclear and different"] += unclear and not same[row]
+                counts[f"{way}: beyond float64"] += 0 < margin <= 1
+                counts[f"{way}: unclear"] += not margin
+                counts[f"{way}: unclear and different"] += not margin and not same[row]
             wrong = ~same
-            wrong[[row for row, (_, margin) in exact.items() if margin <= 1]] = False
+            wrong[[row for row, (_, margin) in exact.items() if not margin]] = False
             for row in np.flatnonzero(wrong).tolist():
-                told["doubts"].append([told["chunks"], way, row, "wrong", exact.get(row)])
+                told["wrong"].append([told["chunks"], way, row, exact.get(row)])
             counts[f"{way}: wrong"] += int(wrong.sum())
             counts[f"{way}: labelled"] += len(points)
             counts[f"{way}: in rational numbers"] += len(exact)

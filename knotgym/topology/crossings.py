@@ -1,14 +1,14 @@
 """Crossings of a closed rope seen from above, and the Gauss code that they spell.
 
 Two edges of the closed polyline through the beads (including the closing edge) cross where their
-projections onto the plane z = 0 meet; edges that share a bead never cross. Which edges cross is
-decided exactly, without a tolerance (`crossing_kernel`). A vertex on the spot of the one before, as
-at the end of a curve that repeats its first point, counts as one with it (`same_spot`).
+projections onto the plane z = 0 meet; edges that share a bead never cross. Which edges cross, in
+which order along the rope and which strand is above is decided exactly, without a tolerance
+(`crossing_kernel`); places and heights are given in float64. A vertex on the spot of the one
+before, as at the end of a curve that repeats its first point, counts as one with it (`same_spot`).
 
 If two strands have the same height at a crossing, the one visited first counts as the upper one.
-Positions along edges and heights are ordinary float64, so the order of two visits is unreliable
-when they are closer than rounding error (three strands near one point). Strands that overlap
-exactly for a stretch, as on integer grids but not on ropes, may give a code that isn't planar.
+Strands that overlap exactly for a stretch, as on integer grids but not on ropes, and crossings that
+lie exactly on one another may give a code that isn't planar.
 
 Coordinates are in metres. A place along the rope is a fractional bead index: 2.25 is a quarter of
 the way from bead 2 to bead 3.

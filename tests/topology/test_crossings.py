@@ -1,5 +1,6 @@
 """Crossings of closed polylines: what is found, what is not, and what exact ties do."""
 
+import runpy
 from fractions import Fraction
 
 import numpy as np
@@ -16,6 +17,8 @@ from knotgym.topology.crossings import Crossings, find_crossings, label, label_m
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
+
+from ..scripts import ROOT
 
 
 @njit
@@ -229,6 +232,23 @@ def test_sides_are_exact(corners: list[tuple[float, int, int]], stretch: float) 
 def test_sides_do_not_depend_on_the_order_of_asking(points: np.ndarray) -> None:
     even, odd = ((0, 1, 2), (1, 2, 0)), ((1, 0, 2), (2, 1, 0))
     assert len({side(points, *a) for a in even} | {-side(points, *a) for a in odd}) == 1
+
+
+def test_labels_are_exact_where_strands_meet_within_rounding() -> None:
+    """Three strands near one point, in the plane and in height, beside rational numbers."""
+    labels = runpy.run_path(str(ROOT / "benchmarks" / "labels.py"))["labels"]
+    rng, close = np.random.default_rng(0), 0
+    for _ in range(200):
+        points = rng.normal(size=(6, 3))
+        points[:, 2] *= 1e-9  # nearly as high
+        meet = points[0] + rng.random() * (points[1] - points[0])
+        for k in (2, 4):  # edges 2 and 4 pass the same place on edge 0
+            points[k + 1] = meet + rng.random() * (meet - points[k])
+        expected, margin = labels(points)
+        if margin:
+            close += margin <= 1
+            assert label(points).chiral == expected
+    assert close > 100
 
 
 @pytest.mark.parametrize(
