@@ -135,7 +135,7 @@ def collect(
         InvalidPolicy, InvalidInput: the policy doesn't fit the task, or no episode is left to keep.
         Occupied, InvalidFile, Failed: as in `runs.runner.run`.
     """
-    config = _named(config)
+    config, folder = _named(config, out)
     # both are refused before any work is done: a task that doesn't fit, and a bad id
     make_policy(config.policy).compatible_task(config.policy_task)
     _metadata(config, Counter())
@@ -147,24 +147,21 @@ def collect(
     made_by = identity(config, files, also=advisers)
     plan = compile_planning if config.policy.plans else None
     return run(
-        lambda place: _episodes_of(config, made_by, place, rebuilt if recorded else play),
-        _dataset_folder(config, out),
+        lambda place: _episodes_of(config, made_by, place, rebuilt if recorded else _play),
+        folder,
         made_by,
         options,
         progress,
         prepare=partial(compile_first, engine=config.task.engine, plan=plan),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
-        identity_in=lambda folder: run_facts(folder),
+        identity_in=run_facts,
     )
 
 
-def _named(config: CollectConfig) -> CollectConfig:
-    return config if config.dataset_id else replace(config, dataset_id=_distinct_id(config))
-
-
-def _dataset_folder(config: CollectConfig, out: Path | None) -> Path:
-    """Return the folder of a collection's dataset."""
-    return (out or minari_root()) / config.dataset_id
+def _named(config: CollectConfig, out: Path | None) -> tuple[CollectConfig, Path]:
+    """Return a collection with the id that its dataset gets, and the dataset's folder."""
+    config = config if config.dataset_id else replace(config, dataset_id=_distinct_id(config))
+    return config, (out or minari_root()) / config.dataset_id
 
 
 def require_collectable(
@@ -182,8 +179,7 @@ def require_collectable(
     Raises:
         Occupied: it does, and `options` don't say what to do with it.
     """
-    config = _named(config)
-    folder = _dataset_folder(config, out)
+    config, folder = _named(config, out)
     if not options.resume and options.shard.is_whole:
         try:
             require_output(folder, folder=True, overwrite=options.overwrite, reads=[])
@@ -237,7 +233,7 @@ def _first_steps(parts: list[Episodes], steps: int) -> list[Episodes]:
     return kept
 
 
-def play(config: CollectConfig, numbers: range) -> Result:
+def _play(config: CollectConfig, numbers: range) -> Result:
     """Play a block of a collection's episodes."""
     return config.played(numbers, config.seed).columns()
 
