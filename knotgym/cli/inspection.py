@@ -43,10 +43,7 @@ def show(named: str, console: Console) -> None:
         facts, rows = transcripts
         _print_facts(facts, console)
         if rows:
-            table = narrow_table(rows[0], left=rows[0][:1])
-            for cells in rows[1:]:
-                table.add_row(*cells)
-            console.print(table)
+            _print_table(rows, rows[0][:1], None, console)
         return
     found = locate(named)
     if found.kind == "episodes":
@@ -57,15 +54,10 @@ def show(named: str, console: Console) -> None:
     for line in [f"{named}: {lines[0]}", *lines[1:]]:
         _say(console, line)
     for one in tables.values():
-        title: str | None = one.title
-        for chosen in _parts([one.head, *one.rows]) if one.rows else ():
-            shown = narrow_table([one.head[k] for k in chosen], title=title, left=one.left)
-            for row in one.rows:
-                shown.add_row(*(str(row[k]) for k in chosen))
-            console.print(shown)
-            title = None
-        if one.rows and one.says:
-            _say(console, one.says)
+        if one.rows:
+            _print_table([one.head, *one.rows], one.left, one.title, console)
+            if one.says:
+                _say(console, one.says)
 
 
 def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
@@ -162,15 +154,22 @@ def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
                 _say(console, line)
 
 
-def _parts(rows: Sequence[Sequence[object]]) -> list[list[int]]:
-    """Deal the columns of a table to parts of 80 characters, each of which repeats the first."""
+def _print_table(
+    rows: Sequence[Sequence[object]], left: Sequence[str], title: str | None, console: Console
+) -> None:
+    """Print a table, its head first, in parts of 80 characters, each of which repeats column 0."""
     widths = [max(len(str(cell)) for cell in column) + _GAP for column in zip(*rows, strict=True)]
     parts = [[0]]
     for k, width in enumerate(widths[1:], 1):
         if len(parts[-1]) > 1 and sum(widths[one] for one in parts[-1]) + width > _WIDTH:
             parts.append([0])
         parts[-1].append(k)
-    return parts
+    for part in parts:
+        head, *cells = ([str(row[k]) for k in part] for row in rows)
+        table = narrow_table(head, title=title if part is parts[0] else None, left=left)
+        for row in cells:
+            table.add_row(*row)
+        console.print(table)
 
 
 def _say(console: Console, line: str) -> None:

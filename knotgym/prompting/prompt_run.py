@@ -13,9 +13,9 @@ import base64
 import hashlib
 import json
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -90,13 +90,6 @@ def run_prompts(
         (place / _RESULT).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
         return f"{FILE}, {_RESULT}"
 
-    @contextmanager
-    def _pool() -> Iterator[Executor]:
-        try:
-            yield _Requests(config.side_by_side, stop)
-        finally:
-            stop.set()
-
     asked = {**settings, "chat": {k: v for k, v in settings["chat"].items() if k not in _FREE}}
     run_identity = identity(config, fields=asked)
     return run(
@@ -105,7 +98,7 @@ def run_prompts(
         run_identity,
         options,
         progress,
-        pool=_pool,
+        pool=partial(_Requests, config.side_by_side, stop),
         count=lambda kept: {"retries": sum(_unpacked(kept)["retries"].values())},
         identity_in=_RESULT,
     )
@@ -166,20 +159,18 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
     queued: list[list[list[float]]] = [[] for _ in range(count)]
     playing, turns = ids, 0
     while len(playing):
+        numbers = playing.tolist()
         if config.mode != OPEN or not turns:
             nows = _pictures(batch, playing, config)
             requests = [
                 (number, messages(befores[number], windows[number], config.mode, most, now))
-                for number, now in zip(playing.tolist(), nows, strict=True)
+                for number, now in zip(numbers, nows, strict=True)
             ]
             replies = yield from _replies(requests, turns, ask)
             turns += 1
-            for number, now, reply in zip(playing.tolist(), nows, replies, strict=True):
-                limit = most if config.mode == OPEN else 1
-                actions, fault = read_actions(reply["text"], limit)
-                if reply["fault"]:
-                    actions, fault = [], reply["fault"]
-                queued[number] = list(actions)
+            for number, now, reply in zip(numbers, nows, replies, strict=True):
+                text = "" if reply["fault"] else reply["text"]
+                actions, fault = read_actions(text, most if config.mode == OPEN else 1)
                 turn = {
                     "step": len(episodes[number]["actions"]),
                     "picture": now.sha256,
@@ -188,16 +179,14 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
                     "actions": actions,
                 }
                 episodes[number]["turns"].append(turn)
+                queued[number] = [*actions]
                 if config.mode == STATEFUL:
-                    window = [*windows[number], Turn(now, reply["text"])]
-                    windows[number] = window[-config.window :]
+                    windows[number] = [*windows[number], Turn(now, reply["text"])][-config.window :]
         # float32, as in policies, so that a replay is the same to the bit
-        chosen = [queued[n].pop(0) if queued[n] else _NO_OP for n in playing.tolist()]
+        chosen = [queued[n].pop(0) if queued[n] else _NO_OP for n in numbers]
         pulls = np.array(chosen, dtype=np.float32)
         outcome = batch.act(pulls, playing)
-        for number, action, code in zip(
-            playing.tolist(), pulls, batch.codes_of(playing), strict=True
-        ):
+        for number, action, code in zip(numbers, pulls, batch.codes_of(playing), strict=True):
             episodes[number]["actions"].append(action.tolist())
             episodes[number]["gauss_code"].append(str(code))
         playing = playing[~(outcome.terminated | outcome.truncated)]
@@ -214,9 +203,7 @@ def _read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> 
     replies = yield from _replies(requests, 0, ask)
     transcripts = []
     for number, (row, picture, reply) in enumerate(zip(rows, pictures, replies, strict=True)):
-        code, fault = read_code(reply["text"])
-        if reply["fault"]:
-            code, fault = None, reply["fault"]
+        code, fault = read_code("" if reply["fault"] else reply["text"])
         truth = {name: row[name] for name in ("gauss_code", "nx", "grade", "accepted")}
         transcripts.append(
             {
@@ -276,9 +263,10 @@ def _replies(
 
 
 def _answer(reply: Mapping[str, Any], fault: str) -> dict[str, Any]:
-    """Return the fields of a transcript that describe a reply."""
+    """Return the fields of a transcript that describe a reply; its own fault comes first."""
     kept = ("reasoning", "rejected", "finish", "retries", *TOKENS)
-    return {"answer": reply["text"], "fault": fault, **{name: reply[name] for name in kept}}
+    whole = {"answer": reply["text"], "fault": reply["fault"] or fault}
+    return whole | {name: reply[name] for name in kept}
 
 
 def _pictures(
@@ -320,3 +308,6 @@ class _Requests(Executor):
 
         threading.Thread(target=_work, daemon=True).start()
         return promise
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()

@@ -170,13 +170,13 @@ def _from_dt(partners: Sequence[int]) -> GaussCode:
     return _planar(GaussCode.relabelled(visits), partners, "DT")
 
 
-def parse_code(text: str) -> GaussCode:
+def _parse_code(text: str) -> GaussCode:
     """Read a Gauss, PD or DT code in any of the notations of `_READERS`.
 
     Raises:
         InvalidInput: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
 
-    >>> {str(parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]", "X2211")}
+    >>> {str(_parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]", "X2211")}
     {'1+,1-'}
     """
     if len(text) > _MOST_CHARACTERS:
@@ -202,7 +202,7 @@ def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
     Brackets may be closed in a later line.
 
     Raises:
-        InvalidInput: as `parse_code`, with the number of the line.
+        InvalidInput: as `_parse_code`, with the number of the line.
 
     >>> [code.nx for code in parse_codes(["1+,1-", "4 6 2 # DT", "", "PD[", "X[1,1,2,2]", "];"])]
     [1, 3, 1]
@@ -217,7 +217,7 @@ def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
             opened = max(0, opened + text.count("[") - text.count("]"))
         if held and (not opened or line is None or len(held) > MOST_CROSSINGS + 2):
             try:
-                yield parse_code("\n".join(held))
+                yield _parse_code("\n".join(held))
             except InvalidInput as error:
                 raise InvalidInput(f"line {first}: {error}") from None
             held, opened = [], 0

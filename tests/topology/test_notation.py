@@ -23,8 +23,8 @@ from knotgym.topology.knots import _is_unknot, _prime_diagrams, diagram_of, knot
 from knotgym.topology.notation import (
     _from_dt,
     _from_pd,
+    _parse_code,
     dt_text,
-    parse_code,
     parse_codes,
     pd_code,
     pd_text,
@@ -52,8 +52,8 @@ def test_every_code_of_up_to_four_crossings_comes_back() -> None:
     codes = listed_codes()
     assert len(codes) == 4533
     for code in codes:
-        assert parse_code(pd_text(code)) == code
-        assert parse_code(dt_text(code)) == code.plain
+        assert _parse_code(pd_text(code)) == code
+        assert _parse_code(dt_text(code)) == code.plain
 
 
 @given(st.integers(5, 40), st.integers(0, 2**32))
@@ -102,11 +102,11 @@ FIGURE_EIGHT = "GaussCode[1, -4, 3, -1, 2, -3, 4, -2]", "X4251 X8615 X6374 X2738
             for code, texts in AS_OTHERS_WRITE.items()
             for text in re.split(r"\||\n {8}", texts)
         ),
-        (FIGURE_EIGHT[0], parse_code(FIGURE_EIGHT[1]).plain),
+        (FIGURE_EIGHT[0], _parse_code(FIGURE_EIGHT[1]).plain),
     ],
 )
 def test_codes_are_read_as_others_write_them(text: str, code: GaussCode) -> None:
-    assert parse_code(text) == code
+    assert _parse_code(text) == code
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_codes_are_read_as_others_write_them(text: str, code: GaussCode) -> None
 )
 def test_a_bad_code_is_refused_in_one_short_line(text: str, problem: str) -> None:
     with pytest.raises(InvalidInput, match=problem) as caught:
-        parse_code(text)
+        _parse_code(text)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
 
 
@@ -150,14 +150,14 @@ def kinks(visit: str, count: int) -> str:
 @pytest.mark.parametrize("visit", ["{0}+,{0}-", "{0} -{0}", "O{0},U{0}", "O{0}+,U{0}+"])
 def test_the_largest_code_is_read_and_none_larger(visit: str) -> None:
     with pytest.raises(InvalidInput, match="too large|too long"):
-        parse_code(kinks(visit, 1001))
-    assert parse_code(kinks(visit, 1000)).nx == 1000
+        _parse_code(kinks(visit, 1001))
+    assert _parse_code(kinks(visit, 1000)).nx == 1000
 
 
 @given(st.text("[](),+-acDTPX 0123456789", max_size=60))
 def test_any_text_is_a_code_or_refused(text: str) -> None:
     try:
-        parse_code(text)
+        _parse_code(text)
     except InvalidInput:
         pass
 
@@ -232,10 +232,10 @@ def test_the_249_knots_are_those_of_knotinfo() -> None:
     for name, code in _prime_diagrams().items():
         pd = json.loads(info[name]["pd_notation"])
         assert sorted(pd_code(code)) == sorted(pd) and _from_pd(pd) == code
-        table_dt = parse_code(info[name]["dt_notation"])
+        table_dt = _parse_code(info[name]["dt_notation"])
         assert dt_text(table_dt) == info[name]["dt_notation"]
         assert knot_type(table_dt) in (name, "unknown")
-        gauss = parse_code(f"KnotInfo:{info[name]['gauss_notation']}")
+        gauss = _parse_code(f"KnotInfo:{info[name]['gauss_notation']}")
         assert canonical(gauss, Symmetry.DIAGRAM) == canonical(code, Symmetry.DIAGRAM)
         require_same_abroad(code, name)
 
@@ -243,7 +243,7 @@ def test_the_249_knots_are_those_of_knotinfo() -> None:
 def hard_unknots() -> dict[str, GaussCode]:
     path = files("knotgym.topology") / "data/hard-unknots.txt"
     lines = [line.partition("#") for line in path.read_text("utf-8").splitlines()]
-    return {name.strip(): parse_code(text) for text, _, name in lines if text}
+    return {name.strip(): _parse_code(text) for text, _, name in lines if text}
 
 
 def test_the_hard_unknots_are_unknots_that_no_simplifying_move_undoes() -> None:
@@ -275,9 +275,9 @@ def test_a_notation_is_a_row_of_the_table_of_readers(monkeypatch: pytest.MonkeyP
     row = re.compile(r"Kinks:\d+"), lambda tight, _: GaussCode.parse(curls(int(tight[6:])))
     monkeypatch.setattr(notation, "_READERS", (row, *notation._READERS))
     (code,) = parse_codes(["Kinks:3 # curls"])
-    assert str(code) == curls(3) and parse_code("[4,6,2]") == _from_dt([4, 6, 2])
+    assert str(code) == curls(3) and _parse_code("[4,6,2]") == _from_dt([4, 6, 2])
     with pytest.raises(InvalidInput, match="cannot read the visit"):
-        parse_code("Kinks:x")
+        _parse_code("Kinks:x")
 
 
 def test_a_list_has_a_code_a_line() -> None:
@@ -295,5 +295,5 @@ def test_spherogram_writes_alphabetical_dt_codes_as_they_are_read() -> None:
     for name in ("3_1", "4_1", "8_20", "9_49", "10_161"):
         link = spherogram.Link(name)
         numbers, letters = link.DT_code()[0], link.DT_code(DT_alpha=True)
-        assert parse_code(letters) == _from_dt(numbers)
-        assert knot_type(parse_code(letters)) == name
+        assert _parse_code(letters) == _from_dt(numbers)
+        assert knot_type(_parse_code(letters)) == name
