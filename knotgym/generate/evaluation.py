@@ -167,8 +167,10 @@ def evaluate(
             with atomic_write(record, overwrite=options.overwrite) as temporary:
                 write_entry(temporary, config, played, _claims(config, results, made_by))
         if place is not None:
-            text = _as_text(_report(config, results, made_by))
-            place.write_text(text, encoding="utf-8")
+            text = json.dumps(_report(config, results, made_by), indent=1)
+            # each list of numbers on one line
+            text = re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text)
+            place.write_text(text + "\n", encoding="utf-8")
         return f"{len(results)} results of {config.episodes} episodes each"
 
     if out is None:
@@ -255,12 +257,6 @@ def _report(
         },
         "results": [asdict(one) for one in results],
     }
-
-
-def _as_text(content: dict[str, Any]) -> str:
-    """Format a report as JSON, with each list of numbers on one line."""
-    text = json.dumps(content, indent=1)
-    return re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text) + "\n"
 
 
 def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.uint8]]:

@@ -98,7 +98,9 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
         states = yield from _demonstrate_all(config, states, place, report)
     write_states(place / "states.h5", states)
     finish(place, report, made_by, states)
-    return _summary(states, report)
+    codes = len(set(states.gauss_code.tolist()))
+    shown = f", {report['demonstrations']} demonstrations" if config.demonstrations else ""
+    return f"{len(states)} states of {codes} codes{shown}"
 
 
 def _rows(config: GenerateConfig, report: dict[str, Any]) -> Recipe[tuple[Table, NDArray[np.str_]]]:
@@ -117,12 +119,6 @@ def _rows(config: GenerateConfig, report: dict[str, Any]) -> Recipe[tuple[Table,
     rows = joined(part.filled(schema) for part in parts)
     order = np.argsort([config.nx.index(nx) for nx in rows["nx"].tolist()], kind="stable")
     return rows.take(order), np.concatenate(splits)[order]
-
-
-def _summary(states: States, report: Mapping[str, Any]) -> str:
-    codes = len(set(states.gauss_code.tolist()))
-    shown = f", {report['demonstrations']} demonstrations" if "demonstrations" in report else ""
-    return f"{len(states)} states of {codes} codes{shown}"
 
 
 def _demonstrate_all(

@@ -152,7 +152,9 @@ def _choose_macros(
         some = slice(first, first + _BLOCK)
         # Always _BLOCK rows, as sums of a network round by the shape of their batch.
         seen, count = Marked.of(points[some], goals[some]), len(points[some])
-        states = Inputs(*(_filled(one) for one in inputs(seen[:4])))
+        shown = inputs(seen[:4])
+        lacking = (0, _BLOCK - count)  # rows at the end
+        states = Inputs(*(functional.pad(x, (0, 0) * (x.dim() - 1) + lacking) for x in shown))
         with inference():
             looked = network(states)
             macros, prior, weight = network.likely(looked), torch.zeros(1, 1), 1.0
@@ -174,11 +176,6 @@ def _choose_macros(
         own[:, 1] = (own[:, 1] + (own[:, 1] == own[:, 0])) % points.shape[1]  # not itself
         chosen.append(own)
     return np.concatenate(chosen)
-
-
-def _filled(states: Tensor) -> Tensor:
-    """Fill up rows with zeros to _BLOCK of them."""
-    return functional.pad(states, (0, 0) * (states.dim() - 1) + (0, _BLOCK - len(states)))
 
 
 def _with_passes(

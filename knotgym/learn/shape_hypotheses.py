@@ -244,13 +244,9 @@ class ShapeHypotheses:
         rows = self._rng.choice(len(self.ropes), size=_VARIED, p=self.weights)
         varied = perturb_heights(self.ropes[rows], _WAVE, self._rng)
         before = np.concatenate([self.ropes, varied])
-        after, velocities = imagine(
-            self._chain,
-            before,
-            np.concatenate([self.velocities, self.velocities[rows]]),
-            np.full(len(before), self.bead),
-            np.tile(force, (len(before), 1)),
-        )
+        speeds = np.concatenate([self.velocities, self.velocities[rows]])
+        beads = np.full(len(before), self.bead)
+        after, velocities = imagine(self._chain, before, speeds, beads, force)
 
         # Reweight by Bayes' rule: prior times likelihood of the picture's reading. Kept hypotheses
         # and their perturbed copies get half of the prior each.
@@ -306,13 +302,8 @@ class ShapeHypotheses:
         for rope, velocity, weight in zip(
             self.ropes[:_CONSULTED], self.velocities, self.weights, strict=False
         ):
-            after, _ = imagine(
-                self._chain,
-                np.tile(rope, (BEADS, 1, 1)),
-                np.tile(velocity, (BEADS, 1, 1)),
-                np.arange(BEADS),
-                np.tile(force, (BEADS, 1)),
-            )
+            ropes, speeds = (np.tile(one, (BEADS, 1, 1)) for one in (rope, velocity))
+            after, _ = imagine(self._chain, ropes, speeds, np.arange(BEADS), force)
             own = self._log_likelihood(after - after.mean(axis=1, keepdims=True), read)
             fit = np.logaddexp(fit, own + np.log(weight))
         likelihood = np.exp(fit - fit.max())
@@ -362,14 +353,14 @@ def imagine(
         chain: at least n ropes, overwritten.
         points, velocities: float64 (n, BEADS, 3), metres and m/s; left as they were.
         beads: int64 (n,), pulled.
-        forces: float64 (n, 3), in units of the largest force.
+        forces: float64 (n, 3) or (3,), in units of the largest force.
 
     Returns:
         Points and velocities after it.
     """
     ids = np.arange(len(points))
     chain.set_points(points, velocities, ids)
-    chain.step(beads, chain.max_force * forces, ids)
+    chain.step(beads, chain.max_force * np.broadcast_to(forces, (len(ids), 3)), ids)
     return chain.points[ids], chain.velocities(ids)
 
 
