@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knotgym.common import Stream
+from knotgym.learn.card import CLONE
 from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.train_config import CloneConfig
-from knotgym.learn.training import Training
+from knotgym.learn.training import Trained, Training
 from knotgym.learn.training_data import Examples
 
 # Settings once, and constants since none was worth more than chance (notes/experiments.md).
@@ -35,6 +36,7 @@ class CloneTraining(Training):
     since the last time, and the held-out loss.
     """
 
+    LEARNER, NAME, LOSSES = CLONE, "clone", ("training", "held_out")
     network: CloneNetwork
 
     def __init__(self, config: CloneConfig, data: Examples) -> None:
@@ -49,6 +51,11 @@ class CloneTraining(Training):
         self._aside = _tensors(data.rows(aside[:: len(aside) // _JUDGED + 1]), config.device)
         self._average, self._best = (_copied(network.state_dict()) for _ in range(2))
         self._least = torch.full((1,), math.inf, dtype=torch.float64)
+        self._facts = {
+            "episodes": len(np.unique(data.episodes)),
+            "decisions": int(data.worked.sum()),
+            "decisions_not_imitated": int((~data.worked).sum()),
+        }
 
     def _parts(self) -> dict[str, dict[str, Tensor]]:
         """Return the tensors to keep beside the optimizer's."""
@@ -82,12 +89,14 @@ class CloneTraining(Training):
             self._best = _copied(self._average)
         self.losses.append((self.step, torch.stack(losses).mean().item(), judged))
 
-    def ended(self) -> tuple[CloneNetwork, int, float]:
-        """Return the network with the averaged weights of least held-out loss, on the CPU; the step
-        after which they were judged; and that loss.
-        """
+    def ended(self) -> Trained:
+        """Return the network with the averaged weights of least held-out loss."""
         step, _, loss = min(self.losses, key=lambda row: row[2])
-        return self._made(self._best).cpu(), int(step), loss
+        kept, steps = int(step), self._config.steps
+        early = "; later steps fit only the training episodes" if kept < steps else ""
+        summary = f"kept step {kept} of {steps}, held-out loss {loss:.2f}{early}"
+        facts = {"kept_step": kept, "held_out_loss": loss, **self._facts}
+        return Trained(self._made(self._best).cpu(), facts, summary, kept)
 
     def _made(self, weights: dict[str, Tensor]) -> CloneNetwork:
         network = CloneNetwork(self._config.width, self._config.layers).to(self._config.device)

@@ -11,11 +11,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from knotgym.common import Stream
+from knotgym.learn.card import PICTURES
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.shape_hypotheses import imagine
 from knotgym.learn.train_config import ReaderConfig
-from knotgym.learn.training import Training
+from knotgym.learn.training import Trained, Training
 from knotgym.learn.training_data import TrainingData
 from knotgym.rendering import draw
 from knotgym.rope import ChainSimulation
@@ -37,6 +38,7 @@ _CHOICE = 0.05  # weight of the log-probability of the best reading
 class ReaderTraining(Training):
     """A reader in training; `losses` are those of its two networks at each step."""
 
+    LEARNER, NAME, LOSSES = PICTURES, "reader", ("join", "correct")
     network: Reader
 
     def __init__(self, data: TrainingData, config: ReaderConfig) -> None:
@@ -59,6 +61,17 @@ class ReaderTraining(Training):
         second = _loss(self.network.corrected(seen, guesses, moves), wanted).mean()
         self._minimize(first + second)
         self.losses.append((self.step, first.item(), second.item()))
+
+    def ended(self) -> Trained:
+        """Return the reader and start positions of ropes, drawn from those of the data."""
+        data, config = self._data, self._config
+        drawn = Stream.LEARN_PLACES.generator(config.seed).permutation(len(data.starts))
+        # drawn without replacement, in the order of the data
+        rows = data.starts[np.sort(drawn[: config.positions])]
+        places = torch.from_numpy(data.frames[rows].mean(axis=1, dtype=np.float32))
+        facts = {"episodes": len(data.starts), "frames": len(data.frames)}
+        summary = f"{config.steps} steps"
+        return Trained(self.network.eval(), facts, summary, others={"places": places})
 
 
 def _drawn(

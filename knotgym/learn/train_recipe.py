@@ -14,15 +14,15 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common import InvalidInput, Stream, Table, sha256
+from knotgym.common import InvalidInput, Table, sha256
 from knotgym.datasets import EpisodeDataset, columns_of
-from knotgym.learn.card import CARD, CLONE, PICTURES
+from knotgym.learn.card import CARD
 from knotgym.learn.checkpoint import save_network
 from knotgym.learn.clone_training import CloneTraining
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
-from knotgym.learn.training import draw_curve, fit
+from knotgym.learn.training import Training, draw_curve, fit
 from knotgym.learn.training_data import (
     TOGETHER,
     Examples,
@@ -96,9 +96,12 @@ def train(
     }
 
     def _recipe(place: Path) -> Recipe[str]:
-        if isinstance(config, CloneConfig):
-            return (yield from _train_clone(opened, config, place, card, progress))
-        return (yield from _train_reader(opened, config, place, card, progress))
+        training = yield from _training(opened, config)
+        fit(training, checkpoint_of(place), config.save_every, progress)
+        made = training.ended()
+        save_network(place, made.network, training.LEARNER, {**card, **made.facts}, made.others)
+        draw_curve(place, training.LOSSES, training.losses, made.kept)
+        return made.summary
 
     prepare = None
     if getattr(config, "demonstrations", 0):
@@ -143,36 +146,14 @@ def _trained_on(
     return dict(zip(("tasks", "nx", "states", "engine"), values, strict=True))
 
 
-def _train_reader(
-    opened: Sequence[EpisodeDataset],
-    config: ReaderConfig,
-    place: Path,
-    card: dict[str, Any],
-    progress: Progress,
-) -> Recipe[str]:
-    # a recipe yields calls at least once; this one has none to make
-    yield []
-    data = states_and_pulls([one.episodes for one in opened])
-    training = ReaderTraining(data, config)
-    fit(training, checkpoint_of(place), config.save_every, "reader", progress)
-    rng = Stream.LEARN_PLACES.generator(config.seed)
-    # drawn without replacement, in the order of the data
-    rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.positions])]
-    places = torch.from_numpy(data.frames[rows].mean(axis=1, dtype=np.float32))
-    facts = {"episodes": len(data.starts), "frames": len(data.frames)}
-    network = training.network.eval()
-    save_network(place, network, PICTURES, {**card, **facts}, {"places": places})
-    draw_curve(place, ("join", "correct"), training.losses)
-    return f"{config.steps} steps"
-
-
-def _train_clone(
-    opened: Sequence[EpisodeDataset],
-    config: CloneConfig,
-    place: Path,
-    card: dict[str, Any],
-    progress: Progress,
-) -> Recipe[str]:
+def _training(
+    opened: Sequence[EpisodeDataset], config: ReaderConfig | CloneConfig
+) -> Recipe[Training]:
+    """Return the training of a learner, with what it is trained on."""
+    if isinstance(config, ReaderConfig):
+        # a recipe yields calls at least once; this one has none to make
+        yield []
+        return ReaderTraining(states_and_pulls([one.episodes for one in opened]), config)
     parts, count = list[Examples](), 0
     for one in opened:
         if "macro_start" not in one.episodes.steps:
@@ -200,17 +181,4 @@ def _train_clone(
     data = Examples(*(np.concatenate(own) for own in zip(*parts, strict=True)))
     if not data.worked.any():
         raise InvalidInput("no episode reached its goal, so there is nothing to imitate")
-    training = CloneTraining(config, data)
-    fit(training, checkpoint_of(place), config.save_every, "clone", progress)
-    network, kept, loss = training.ended()
-    facts = {
-        "kept_step": kept,
-        "held_out_loss": loss,
-        "episodes": len(np.unique(data.episodes)),
-        "decisions": int(data.worked.sum()),
-        "decisions_not_imitated": int((~data.worked).sum()),
-    }
-    save_network(place, network, CLONE, {**card, **facts})
-    draw_curve(place, ("training", "held_out"), training.losses, kept)
-    early = "; later steps fit only the training episodes" if kept < config.steps else ""
-    return f"kept step {kept} of {config.steps}, held-out loss {loss:.2f}{early}"
+    return CloneTraining(config, data)

@@ -13,6 +13,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -31,14 +32,38 @@ _WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of th
 _CURVE_ROWS = 100  # of a learning curve, at most
 
 
+class Trained(NamedTuple):
+    """What a training ends with.
+
+    Attributes:
+        network: on the CPU.
+        facts: of the training, for the card.
+        summary: in a line.
+        kept: the step whose weights it has; None for the last.
+        others: tensors that belong to the learner beside the network's.
+    """
+
+    network: nn.Module
+    facts: dict[str, Any]
+    summary: str
+    kept: int | None = None
+    others: dict[str, Tensor] | None = None
+
+
 class Training(ABC):
     """A network in training.
 
     Attributes:
+        LEARNER, NAME: what the network is part of, as a folder has it, and what it is called.
+        LOSSES: names of the two losses.
         network: as trained so far.
         step: steps done.
         losses: two numbers for each row of the learning curve, with the step before them.
     """
+
+    LEARNER: ClassVar[str]
+    NAME: ClassVar[str]
+    LOSSES: ClassVar[tuple[str, str]]
 
     def __init__(self, network: nn.Module, rate: float, decay: float, steps: int) -> None:
         """Train `network` for `steps` steps; `decay` is that of the weights."""
@@ -51,6 +76,10 @@ class Training(ABC):
     @abstractmethod
     def advance(self) -> None:
         """Take one step or several."""
+
+    @abstractmethod
+    def ended(self) -> Trained:
+        """Return what all steps led to."""
 
     def _minimize(self, loss: Tensor) -> None:
         """Take one optimizer step; the rate rises linearly, then falls by a cosine."""
@@ -117,14 +146,13 @@ class Training(ABC):
             ) from error
 
 
-def fit(training: Training, path: Path, save_every: int, what: str, progress: Progress) -> None:
+def fit(training: Training, path: Path, save_every: int, progress: Progress) -> None:
     """Run a training to its end, continuing from its checkpoint if there is one.
 
     Args:
         training: that hasn't begun.
         path: of the checkpoint.
         save_every: steps between checkpoints.
-        what: is trained, for the progress.
         progress: where to show it.
     """
     if path.exists():
@@ -132,7 +160,7 @@ def fit(training: Training, path: Path, save_every: int, what: str, progress: Pr
 
     while training.step < training.steps:
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
-        progress.stage(f"training the {what}", training.step, training.steps, facts)
+        progress.stage(f"training the {training.NAME}", training.step, training.steps, facts)
         training.advance()
         if training.step % save_every == 0 or training.step == training.steps:
             training._save(path)

@@ -104,6 +104,9 @@ def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
         def advance(self) -> None:
             self._minimize(self.network(torch.ones(1, 2)).sum())
 
+        def ended(self) -> Any:
+            raise NotImplementedError
+
     def tiny() -> Tiny:
         return Tiny(torch.nn.Linear(2, 1), 0.1, 0.0, 4)
 
