@@ -1,18 +1,20 @@
 """Independent check of a rope's Gauss code with pyknotid.
 
-Only the types for codes and errors are shared with `knotgym.topology.crossings`. Four problems of
+Only the types for codes and errors are shared with `knotgym.topology.crossings`. Five problems of
 pyknotid 0.5.3 are worked around: it needs aliases that NumPy 2 removed (restored only while it
 runs, so this isn't thread-safe); it drops crossings whose cross product is below an absolute 1e-5
-(the rope is scaled up); it prints to standard output; and it writes an empty code as "----". It
-still misses a crossing that falls exactly on a bead. Its own search for crossings is compiled, as
-its Cython build does, which takes a twentieth of the time.
+(the rope is scaled up); it prints to standard output; it writes an empty code as "----"; and it
+imports plots that need fontconfig. It still misses a crossing that falls exactly on a bead. Its own
+search for crossings is compiled, as its Cython build does, which takes a twentieth of the time.
 
 Source: A. J. Taylor, "pyknotid knot identification toolkit", https://github.com/SPOCKnots/pyknotid
 """
 
 import io
+import sys
 from contextlib import redirect_stdout
 from functools import cache
+from types import ModuleType
 from typing import Any
 from unittest import mock
 
@@ -54,8 +56,14 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
 @cache
 def _space_curve() -> Any:
     """Return pyknotid's class, whose functions that find crossings are compiled."""
-    from pyknotid.spacecurves import SpaceCurve, helpers
-
+    # pyknotid imports its plots, too, whose libraries need fontconfig: a bare machine has none
+    plots: Any = ModuleType("pyknotid.visualise")
+    plots.__getattr__ = lambda name: None
+    sys.modules[plots.__name__] = plots
+    try:
+        from pyknotid.spacecurves import SpaceCurve, helpers
+    finally:
+        del sys.modules[plots.__name__]
     # in the order in which they call each other, so that each finds compiled what it calls
     for name in ("cross_product", "sign", "do_vectors_intersect", "find_crossings"):
         setattr(helpers, name, numba.njit(cache=True)(getattr(helpers, name)))

@@ -18,6 +18,7 @@ from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
+from ..fresh_interpreter import modules_after
 from ..scripts import ROOT
 
 
@@ -283,6 +284,13 @@ def test_pyknotid_agrees() -> None:
     for seed in range(40):
         points = random_curve(seed, modes=1 + seed % 8)
         assert label(points) == pyknotid_code(points), seed
+
+
+def test_pyknotid_needs_no_library_for_plots() -> None:
+    """Its plots import vispy, which needs fontconfig: a bare machine has none."""
+    read = "from knotgym.topology.reference_labeller import pyknotid_code"
+    modules = modules_after(f"{read}\npyknotid_code([[0, 0, 0], [1, 0, 0], [0, 1, 0]])")
+    assert "pyknotid.spacecurves" in modules and "vispy" not in modules
 
 
 def test_scale_prints_and_patches_of_pyknotid_are_hidden(capfd: pytest.CaptureFixture[str]) -> None:
