@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -15,6 +16,8 @@ from knotgym.envs import TaskConfig
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.runs import RunOptions
 
+if not all(map(find_spec, ("torch", "safetensors"))):
+    collect_ignore_glob = ["test_*.py"]
 READER = ReaderConfig(steps=6, batch=2, save_every=2)
 CLONE = CloneConfig(steps=4, batch=4, save_every=2, width=16, layers=1, guided=True)
 TASK = TaskConfig(task="tie", nx=2, horizon=12, observation="state", engine="chain")

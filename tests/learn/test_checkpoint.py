@@ -11,21 +11,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
 
 from knotgym.common import InvalidFile, sha256
 from knotgym.control import PolicyConfig, make_policy
+from knotgym.learn import clone_network
+from knotgym.learn.card import policy_folder
+from knotgym.learn.checkpoint import load_reader
+from knotgym.learn.clone_policy import load_clone
 
 from .conftest import CLONE, put_card, train, weights
 
 pytestmark = pytest.mark.clients
-pytest.importorskip("torch")
-pytest.importorskip("safetensors")
 
 
 def put_weights(folder: Path, name: str, change: Callable[[Any], Any]) -> None:
     """Change a tensor, and put the new checksum on the card."""
-    from safetensors.torch import load_file, save_file
-
     path = folder / "weights.safetensors"
     tensors = load_file(path)
     save_file({**tensors, name: change(tensors[name])}, path)
@@ -69,8 +71,6 @@ HARMS: list[tuple[str, Callable[[Path], Any]]] = [
 def test_a_harmed_checkpoint_is_refused(
     learner: Path, tmp_path: Path, says: str, harm: Callable[[Path], Any]
 ) -> None:
-    from knotgym.learn.checkpoint import load_reader
-
     harm(shutil.copytree(learner, tmp_path / "copy"))
     with pytest.raises(InvalidFile, match=re.escape(says)) as refused:
         load_reader(str(tmp_path / "copy"))
@@ -78,8 +78,6 @@ def test_a_harmed_checkpoint_is_refused(
 
 
 def test_a_clone_is_as_large_as_its_weights_say(clone: Path, tmp_path: Path) -> None:
-    from knotgym.learn.clone_policy import load_clone
-
     copy = shutil.copytree(clone, tmp_path / "copy")
     put_card(copy, config={"width": 10**9, "layers": 10**9, "guided": False})
     assert len(load_clone(copy).network.norm.weight) == 16
@@ -97,11 +95,6 @@ def test_a_clone_is_as_large_as_its_weights_say(clone: Path, tmp_path: Path) -> 
 def test_a_network_that_was_changed_refuses_the_weights_of_before(
     clone: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str
 ) -> None:
-    from torch import Tensor, nn
-
-    from knotgym.learn import clone_network
-    from knotgym.learn.clone_policy import load_clone
-
     begin, forward = clone_network.CloneNetwork.__init__, clone_network.CloneNetwork.forward
 
     def with_layer(own: Any, width: int, layers: int) -> None:
@@ -127,7 +120,5 @@ def test_a_network_that_was_changed_refuses_the_weights_of_before(
 
 
 def test_a_reader_of_ropes_is_no_policy() -> None:
-    from knotgym.learn.card import policy_folder
-
     with pytest.raises(InvalidFile, match="isn't of learner pictures but of 'rope-reader'"):
         make_policy(PolicyConfig(policy=str(policy_folder("rope-reader"))))

@@ -9,11 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from knotgym.common import InvalidInput, InvalidPolicy, Stream
 from knotgym.control import PassValues, PolicyConfig, Sight, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
+from knotgym.learn.clone_network import CloneNetwork, inputs
+from knotgym.learn.clone_policy import _choose_macros, load_clone
+from knotgym.learn.training_data import Examples, decisions_of, demonstrate
 from knotgym.rope import ChainSimulation, WaypointFollower
 from knotgym.states import States
 from knotgym.topology import GaussCode, label_many
@@ -21,8 +25,6 @@ from knotgym.topology import GaussCode, label_many
 from .conftest import CLONE, TASK, train, weights
 
 pytestmark = pytest.mark.clients
-pytest.importorskip("torch")
-pytest.importorskip("safetensors")
 
 
 def test_its_episodes_do_not_depend_on_the_lanes_beside_them(clone: Path) -> None:
@@ -41,8 +43,6 @@ def test_the_one_that_ships_reaches_easy_goals() -> None:
 
 
 def test_a_guided_clone_takes_passes_of_great_worth(clone: Path, states: States) -> None:
-    from knotgym.learn.clone_policy import _choose_macros, load_clone
-
     points = states.points[:12]
     goals, cold = [GaussCode.parse("1+,1-")] * len(points), np.zeros(len(points))
     values, network = PassValues.of_split(every_code=True), load_clone(clone).network
@@ -69,11 +69,6 @@ def test_pictures_are_enough_to_choose_but_name_no_position(clone: Path) -> None
 
 
 def test_decisions_of_failed_episodes_are_judged_but_not_imitated(played: Episodes) -> None:
-    import torch
-
-    from knotgym.learn.clone_network import CloneNetwork, inputs
-    from knotgym.learn.training_data import decisions_of
-
     own = decisions_of(played, first=7)
     assert {*own.episodes[own.worked].tolist()} == {7, 8}
     assert {*own.episodes[~own.worked].tolist()} == {9}
@@ -105,8 +100,6 @@ def test_demonstrations_are_made_on_the_way_by_any_number_of_workers(tmp_path: P
 
 
 def test_examples_lead_where_they_say_in_any_frame_and_numbering() -> None:
-    from knotgym.learn.training_data import Examples, demonstrate
-
     config = replace(CLONE, demonstrations=24, copies=3, nx=(1,), states="bench")
     data = Examples(**demonstrate(config, "tie", 1, 0))
     kinks = np.count_nonzero(data.goal[:, :, 0], axis=1) == 2  # visits of the goal

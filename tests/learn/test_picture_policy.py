@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy
 from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.learn.reader import BeadNetwork
 
 pytestmark = pytest.mark.clients
-pytest.importorskip("torch")
-pytest.importorskip("safetensors")
+
 TASK = TaskConfig(task="unknot", nx=1, engine="chain")
 
 
@@ -65,10 +66,6 @@ def test_it_acts_on_pictures_alone_and_the_same_every_time(learner: Path, shown:
 
 
 def test_one_thread_is_enough(learner: Path, shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    import torch
-
-    from knotgym.learn.reader import BeadNetwork
-
     threads, forward = [], BeadNetwork.forward
 
     def counted(network: BeadNetwork, inputs: torch.Tensor) -> torch.Tensor:

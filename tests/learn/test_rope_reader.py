@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import runpy
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from knotgym.common import InvalidFile, InvalidInput
+from knotgym.learn.rope_reader import _crossings_of, _line_in, _turned_back, load_rope_reader
+from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields
 from knotgym.rendering import photograph
 from knotgym.states import States, read_states, shipped
 from knotgym.topology import GaussCode, Symmetry, find_crossings, images, label
@@ -18,14 +22,7 @@ from knotgym.topology import GaussCode, Symmetry, find_crossings, images, label
 from ..scripts import ROOT
 
 pytestmark = pytest.mark.clients
-pytest.importorskip("safetensors")
-torch = pytest.importorskip("torch")
 
-from knotgym.learn.rope_reader import _crossings_of, _line_in, _turned_back, load_rope_reader  # noqa: E402
-from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields  # noqa: E402
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Array = NDArray[np.float64]
 SIDE = 256

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-pytestmark = pytest.mark.clients
-pytest.importorskip("torch")
+from knotgym.learn.agent import PicturePlayer
+from knotgym.learn.checkpoint import Learned
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, imagine
+from knotgym.rope import ChainSimulation, Rope
+from knotgym.topology import GaussCode
 
-from knotgym.learn.agent import PicturePlayer  # noqa: E402
-from knotgym.learn.checkpoint import Learned  # noqa: E402
-from knotgym.learn.colour_reading import BEADS  # noqa: E402
-from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, imagine  # noqa: E402
-from knotgym.rope import ChainSimulation, Rope  # noqa: E402
-from knotgym.topology import GaussCode  # noqa: E402
+pytestmark = pytest.mark.clients
 
 Array = NDArray[np.float64]
 

@@ -12,18 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from knotgym.cli import main
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
 from knotgym.datasets import Episodes
+from knotgym.learn.training import Training
+from knotgym.learn.training_data import states_and_pulls
 from knotgym.states import shipped
 
 from ..small_job import staging_of
 from .conftest import CLONE, READER, TASK, break_off, published, put_card, train, weights
 
 pytestmark = pytest.mark.clients
-pytest.importorskip("torch")
-pytest.importorskip("safetensors")
 
 
 @pytest.mark.parametrize("config", [READER, CLONE], ids=["reader", "clone"])
@@ -85,8 +86,6 @@ def test_nothing_to_learn_from_is_one_line(played: Episodes, tmp_path: Path) -> 
 
 
 def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> None:
-    from knotgym.learn.training_data import states_and_pulls
-
     own = states_and_pulls([played, played])
     steps, count = played.steps, played.steps.rows
     assert own.beads[0] == -1 and own.beads[count] == -1
@@ -96,10 +95,6 @@ def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> No
 
 
 def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
-    import torch
-
-    from knotgym.learn.training import Training
-
     class Tiny(Training):
         def advance(self) -> None:
             self._minimize(self.network(torch.ones(1, 2)).sum())
