@@ -19,7 +19,7 @@ import knotgym
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import MinariMetadata, open_episodes, publish
 from knotgym.envs import TaskConfig
-from knotgym.loaders import arrays, to_d3rlpy, torch_dataset
+from knotgym.loaders import to_d3rlpy
 from knotgym.play import Recorder, Session
 
 ROOT = Path(__file__).parents[2]
@@ -131,18 +131,6 @@ def test_d3rlpy_trains_on_the_single_pulls_of_a_hand_played_dataset(
     d3rlpy.algos.BCConfig().create().fit(buffer, n_steps=20, n_steps_per_epoch=20)
     with pytest.raises(knotgym.InvalidInput, match="doesn't record macro-actions"):
         to_d3rlpy(folder, observation="marked", action="decision", frame="canonical")
-
-
-@pytest.mark.clients
-def test_torch_reads_a_hand_played_dataset_that_replays_bit_for_bit(played_room: Path) -> None:
-    torch = pytest.importorskip("torch")
-    folder = played_room / "minari" / ID
-    assert knotgym.verify(folder) == []
-    rows = arrays(folder, observation="state")
-    assert len(rows["actions"]) == open_episodes(folder).episodes.episodes["length"].sum()
-    held = torch_dataset(folder, observation="state")
-    got = torch.stack([held[row]["action"] for row in range(len(held))])
-    np.testing.assert_array_equal(got, rows["actions"])
 
 
 @pytest.mark.clients

@@ -11,7 +11,7 @@ import pytest
 from knotgym.common import InvalidInput
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import open_episodes, write_episodes
-from knotgym.envs.environment import KnotEnv, KnotVectorEnv
+from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
 from knotgym.rope import ActionView, quantized
@@ -99,29 +99,6 @@ def test_a_macro_action_of_an_endless_task_is_paid_for_all_of_its_pulls(task: Ta
         _, reward, *_, info = env.step(np.array([0, 50, 1]))
         pulls, paid = pulls + info["macro_pulls"], paid + reward
     assert paid == env.episodes.held[0] * task.success_reward and pulls > 3
-
-
-@pytest.mark.parametrize("view", VIEWS)
-def test_ropes_of_a_vector_environment_act_as_single_ones(view: str, task: TaskConfig) -> None:
-    made = settings(task, action=view, horizon=12)
-    many, single = KnotVectorEnv("tie", 2, **made), [KnotEnv("tie", **made) for _ in range(2)]
-    many.action_space.seed(1)
-    many.reset(seed=5)
-    for number, env in enumerate(single):
-        env.reset(seed=5 + number)
-    ended = [False, False]
-    for _ in range(6):
-        actions = many.action_space.sample()
-        states, rewards, _, _, infos = many.step(actions)
-        for number, env in enumerate(single):
-            reward, terminated, truncated = 0.0, False, False
-            if ended[number]:
-                state, info = env.reset()
-            else:
-                state, reward, terminated, truncated, info = env.step(actions[number])
-            assert np.array_equal(states[number], state) and rewards[number] == reward
-            assert all(np.array_equal(infos[name][number], info[name]) for name in info)
-            ended[number] = terminated or truncated
 
 
 def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:

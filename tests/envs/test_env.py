@@ -171,27 +171,6 @@ def test_same_seed_same_arrays(make: Make, task: str) -> None:
     assert same(ours, theirs) and not same(*ours)
 
 
-@pytest.mark.parametrize(
-    ("shown", "fails", "right"),
-    [
-        (True, False, (3.0, True, False, True)),
-        (False, False, (-0.5, False, True, False)),
-        (True, True, (0.0, False, True, False)),
-    ],
-)
-def test_the_last_step_succeeds_or_truncates_with_the_rewards_of_the_task(
-    make: Make, shown: bool, fails: bool, right: tuple[float, bool, bool, bool]
-) -> None:
-    env = make("tie", horizon=1, success_reward=3.0, failure_reward=-0.5)
-    env.reset(seed=0)
-    if shown:
-        goal_is_shown(env.episodes, 0)
-    if fails:
-        blow_up(env.episodes.simulation)
-    *_, info = step = env.step(IDLE)
-    assert (*step[1:4], info["is_success"]) == right
-
-
 def test_holding_means_consecutive_steps(make: Make) -> None:
     env = make("tie", hold=3)
     env.reset(seed=0)

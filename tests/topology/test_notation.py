@@ -13,13 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.common import InvalidInput
-from knotgym.rope import MUJOCO, simulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import notation
-from knotgym.topology.crossings import label_many
 from knotgym.topology.diagrams import _walked, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import _is_unknot, _prime_diagrams, diagram_of, knot_type
+from knotgym.topology.knots import _prime_diagrams, diagram_of, knot_type
 from knotgym.topology.notation import (
     _from_dt,
     _from_pd,
@@ -169,16 +167,6 @@ def test_states_that_ship_have_the_codes_of_their_gauss_code() -> None:
         assert (states.pd_code[row], states.dt_code[row]) == (pd_text(code), dt_text(code))
 
 
-def rope_codes(count: int) -> list[GaussCode]:
-    """Codes of ropes that random actions tangled."""
-    ropes, rng = simulation(MUJOCO, 50, threads=0), np.random.default_rng(40)
-    found: list[GaussCode] = []
-    while len(found) < count:
-        ropes.act(rng.uniform(-1, 1, (50, 6)).astype(np.float32))
-        found += [code for code in label_many(ropes.points) if code.nx]
-    return found[:count]
-
-
 def require_same_abroad(code: GaussCode, knot: str) -> None:
     """Check that spherogram reads both codes as this diagram and knot, and writes them back."""
     import spherogram
@@ -214,14 +202,6 @@ def test_spherogram_reads_and_writes_every_code_of_up_to_four_crossings() -> Non
     pytest.importorskip("spherogram")
     for code, knot in listed_codes().items():
         require_same_abroad(code, knot)
-
-
-@pytest.mark.clients
-def test_spherogram_reads_and_writes_the_codes_of_random_ropes() -> None:
-    pytest.importorskip("spherogram")
-    for code in rope_codes(1000):
-        assert _is_unknot(code)
-        require_same_abroad(code, "0_1")
 
 
 @pytest.mark.clients
