@@ -170,16 +170,7 @@ def played(name: str, seeds: list[int], lanes: int, task: TaskConfig = TASK) -> 
     return rollouts(policy, task, seeds, lanes=lanes)
 
 
-NAMES = (
-    "random",
-    "constant",
-    "scripted",
-    "expert",
-    "noisy",
-    "mixed",
-    "own:informed",
-    "own:counter",
-)
+NAMES = "random constant scripted expert noisy mixed own:informed own:counter".split()
 TASKS = {
     **{name: TASK for name in NAMES},
     "play": ENDLESS,

@@ -4,6 +4,7 @@ import pytest
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
 from knotgym.control.planning.passes import ActOut, PassPlan, PassSearch, PassValues
+from knotgym.control.planning.pulls import _drawn_index, guide_to
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass
@@ -12,6 +13,8 @@ from knotgym.topology import GaussCode, Symmetry, images
 FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
 LOOP, KINKED = Diagram(FLAT, (0,)), Diagram(KINK, (1, 2))
 GOAL = GaussCode.parse("1+c,1-c,2+a,2-a")
+KINKED_TWICE = GaussCode.parse("1+,1-,2+,2-")
+THREE = GaussCode.parse("1+c,1-c,2+a,2-a,3+c,3-c")
 SELDOM, OFTEN = PassTemplate(AT, 20, 80, 1), PassTemplate(AT, 40, 80, 1)
 
 
@@ -104,3 +107,40 @@ def test_splits_by_code_have_an_order_of_their_own() -> None:
     assert one and other and one != other
     every = PassValues.of_split("train", every_code=True)
     assert every.reach(GaussCode.parse("1+,1-,2+,2-,3+,4-,4+,3-"), LOOP) > 0.01
+
+
+# guidance of single pulls
+
+
+def test_codes_on_the_way_to_the_goal_are_nearer() -> None:
+    guide = guide_to(KINKED_TWICE, PassValues.of_split())
+    far = [guide.distance(code) for code in (GaussCode(KINKED_TWICE.visits, "ca"), KINK, FLAT)]
+    assert far[0] == 0 and far == sorted(far) and len({*far}) == 3
+    assert guide.hops(KINK) in (1, 2) and 0 < guide.distance(THREE) < guide.distance(FLAT)
+
+
+def test_where_no_way_is_known_crossings_count() -> None:
+    guide = guide_to(KINKED_TWICE, PassValues(Moves()))
+    assert guide.distance(KINK) == guide.distance(THREE) < guide.distance(FLAT)
+    assert guide.hops(KINK) is None and guide.hops(GaussCode(KINKED_TWICE.visits, "ca")) == 0
+
+
+def test_most_macro_actions_are_of_the_best_passes(curve: Array) -> None:
+    values, rng = PassValues.of_split(), np.random.default_rng(0)
+    guide, best = (
+        guide_to(KINKED_TWICE, values),
+        list(values.passes(KINKED_TWICE, Sight.of(curve[None])[0])),
+    )
+    made = [guide.propose(curve, rng) for _ in range(200)]
+    passes = {(move.bead, move.target, move.side) for move, _ in best[:8]}
+    led = sum((one.bead, one.target, one.side) in passes for one in made)
+    assert (130 < led < 190) if best else led == 0
+
+
+def test_an_index_is_drawn_as_generators_choose() -> None:
+    for seed in range(300):
+        weights = np.random.default_rng(seed).random(1 + seed % 40) ** 4
+        rng, other = np.random.default_rng(seed), np.random.default_rng(seed)
+        drawn = _drawn_index(weights, rng)
+        assert drawn == other.choice(len(weights), p=weights / weights.sum())
+        assert rng.bit_generator.state == other.bit_generator.state
