@@ -134,13 +134,32 @@ def _shown_code(curve: Array, rope: Rope) -> GaussCode:
 
 
 def _candidate(curve: Array, rounds: int, code: GaussCode, rope: Rope) -> Array | None:
-    """Return a curve as a relaxed configuration with its code; None if that isn't possible."""
+    """Return a curve as a configuration with its code; None if that isn't possible.
+
+    Args:
+        curve: float64 (n, 3), in any unit.
+        rounds: of relaxation, which stops before the first one that would change the code.
+        code: that the curve shows.
+        rope: gives the bead length and the limit on overlap.
+
+    Returns:
+        float64 (beads, 3), metres.
+    """
     try:
-        rough = rope.from_curve(curve, max_overlap=np.inf if rounds else 0.001)
-    except InvalidInput:
+        laid = rope.from_curve(curve, max_overlap=np.inf if rounds else 0.001)
+        if rounds and label(laid) == code:
+            moving, last = laid.copy(), None
+            for _ in range(rounds):
+                _iterate(moving, rope.config.bead_length)
+                if label(moving) != code:
+                    break
+                last = moving.copy()
+            if last is None:
+                return None
+            laid = rope.from_curve(last)
+    except InvalidInput:  # strands overlap too deeply
         return None
-    points = _relaxed(rough, rounds, rope) if rounds else rough
-    return points if points is not None and label(points) == code else None
+    return laid if label(laid) == code else None
 
 
 def _missed(fault: str, quality: Quality, limits: Limits) -> str:
@@ -148,40 +167,6 @@ def _missed(fault: str, quality: Quality, limits: Limits) -> str:
         return fault
     value, unit = getattr(quality, fault), Quality.UNITS[fault]
     return f"{fault} is {value:.3g} {unit}, limit {getattr(limits, fault)}"
-
-
-def _relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
-    """Relax a configuration.
-
-    Args:
-        points: float64 (beads, 3), metres; not modified.
-        rounds: number of rounds, at least 1; relaxation stops before the first round that would
-            change the code.
-        rope: supplies the bead length and the limit on overlap.
-
-    Returns:
-        float64 (beads, 3), metres, a configuration of the rope with the code of `points`; None if
-        the first round changes the code or the result is no valid configuration.
-
-    Raises:
-        InvalidInput: fewer than 1 round.
-    """
-    if rounds < 1:
-        raise InvalidInput(f"rounds must be at least 1, got {rounds}")
-    code = label(points)
-    moving, last = np.array(points, dtype=np.float64), None
-    for _ in range(rounds):
-        _iterate(moving, rope.config.bead_length)
-        if label(moving) != code:
-            break
-        last = moving.copy()
-    if last is None:
-        return None
-    try:
-        laid = rope.from_curve(last)
-    except InvalidInput:  # strands overlap too deeply
-        return None
-    return laid if label(laid) == code else None
 
 
 @numba.njit(cache=True, nogil=True)
