@@ -22,7 +22,7 @@ from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rendering import PictureConfig, draw
 from knotgym.rope import Array, RopeConfig
 from knotgym.runs import Result
-from knotgym.states import NEAR, STATES, RopeAtRest, Spectra, States, distances, pairs_within
+from knotgym.states import NEAR, STATES, RopeAtRest, Spectra, States
 from knotgym.topology import UNKNOT, GaussCode, find_crossings, pyknotid_code, shows
 
 ROWS = STATES.without("image", "split")
@@ -138,12 +138,12 @@ class Selection:
     """
 
     def __init__(self, apart_from: Sequence[NDArray[np.float64]] = ()) -> None:
-        others = [points for part in apart_from for points in part]
         self.rejected = defaultdict[int, Counter[str]](Counter)
         self._parts: list[Table] = []
         # those of others have no code: none may be near them
-        self._known: list[tuple[GaussCode | None, Array]] = [(None, one) for one in others]
-        self._invariants = list(Spectra.of(np.stack(others)).invariants) if others else []
+        self._known: list[tuple[GaussCode | None, Spectra]] = [
+            (None, Spectra.of(points[None])) for part in apart_from for points in part
+        ]
 
     def __len__(self) -> int:
         return len(self._parts)
@@ -160,22 +160,20 @@ class Selection:
         """
         points = rows["points"][row]
         code = GaussCode.parse(str(rows["gauss_code_chiral"][row]))
-        own = Spectra.of(points[None]).invariants[0]
-        close: list[tuple[GaussCode | None, Array]] = []
-        if self._known:
-            # no symmetry brings two closer than their invariants; the margin is for rounding
-            bounds = np.linalg.norm(np.array(self._invariants) - own, axis=1)
-            close = [self._known[k] for k in np.flatnonzero(bounds < NEAR + 1e-9)]
-        like = [one for shown, one in close if not lenient or shown is None or code.matches(shown)]
-        near = bool(like) and bool(pairs_within(points[None], np.stack(like)))
-        if lenient and not near:
-            others = [one for shown, one in close if shown is not None and shown.nx == code.nx]
-            near = bool(others) and bool((distances(points, np.stack(others)) < NEAR).any())
+        own, near = Spectra.of(points[None]), False
+        known = np.array([one.invariants[0] for _, one in self._known])
+        off = known.reshape(-1, own.invariants.size) - own.invariants
+        # no symmetry brings two closer than their invariants; the margin is for rounding
+        for k in np.flatnonzero(np.linalg.norm(off, axis=1) < NEAR + 1e-9):
+            shown, other = self._known[k]
+            if not lenient or shown is None or code.matches(shown):
+                near |= own.pair_distances(other)[0] < NEAR
+            elif shown.nx == code.nx:
+                near |= own.turned_distances(other)[0, 0] < NEAR
         if near:
             self.rejected[code.nx]["near-duplicate"] += 1
             return False
-        self._known.append((code, points))
-        self._invariants.append(own)
+        self._known.append((code, own))
         self._parts.append(rows.take(slice(row, row + 1)))
         return True
 
