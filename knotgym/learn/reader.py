@@ -165,7 +165,7 @@ class Reader(nn.Module):
         guesses = np.zeros((len(seen), BEADS, 3))
         # colours locate the middles of beads; vertex i lies between beads i - 1 and i
         guesses[..., :2] = PIXEL * 0.5 * (axes + np.roll(axes, 1, axis=1))
-        out = self._run(self.join, seen, guesses, False)
+        out = self._run(self.join, seen, guesses)
         across = torch.from_numpy(guesses[..., :2]).float() + _OFF_SCALE * PIXEL * out[..., :2]
         heights = _HEIGHT_SCALE * out[..., 2 : 2 + READINGS].transpose(1, 2)
         both = across[:, None].expand(-1, READINGS, -1, -1)
@@ -184,7 +184,7 @@ class Reader(nn.Module):
                 there, metres; where the picture disagrees, heights can be inferred. 0 for a guess
                 without a past.
         """
-        out = self._run(self.correct, seen, guesses, True, moves)
+        out = self._run(self.correct, seen, guesses, moves)
         vertices = torch.from_numpy(guesses).float() + out * torch.tensor(
             [_OFF_SCALE * PIXEL, _OFF_SCALE * PIXEL, _HEIGHT_SCALE]
         )
@@ -235,17 +235,12 @@ class Reader(nn.Module):
         return vertices
 
     def _run(
-        self,
-        network: BeadNetwork,
-        seen: list[Seen],
-        guesses: Array,
-        heights: bool,
-        moves: Array | None = None,
+        self, network: BeadNetwork, seen: list[Seen], guesses: Array, moves: Array | None = None
     ) -> Tensor:
         """Run a network on pictures and guesses; return float32 (n, BEADS, outputs)."""
-        inputs = np.stack(
-            [_network_inputs(*pair, heights) for pair in zip(seen, guesses, strict=True)]
-        )
+        heights = network is self.correct
+        pairs = zip(seen, guesses, strict=True)
+        inputs = np.stack([_network_inputs(*pair, heights) for pair in pairs])
         if moves is not None:
             inputs[:, 15:18] = moves.transpose(0, 2, 1) / _MOVE_SCALE
             inputs[:, 18] = (moves != 0).any(axis=2)

@@ -27,6 +27,7 @@ from knotgym.rope import ChainSimulation
 from knotgym.topology import GaussCode, label_many
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
 
 # Chosen without comparison. No file depends on these values: after a change `pretrained` must
 # score as docs/benchmark.md says.
@@ -154,7 +155,7 @@ def _directions(points: Array, bead: int) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _nearest_beads(points: Array, positions: Array, named: Array) -> NDArray[np.int64]:
+def _nearest_beads(points: Array, positions: Array, named: Array) -> Ids:
     """Return, for each particle, the bead that naming a point would pull, int64 (particles,)."""
     found = np.empty(len(positions), np.int64)
     for k in range(len(positions)):
@@ -341,11 +342,7 @@ class ShapeHypotheses:
 
 
 def imagine(
-    chain: ChainSimulation,
-    points: Array,
-    velocities: Array,
-    beads: NDArray[np.int64],
-    forces: Array,
+    chain: ChainSimulation, points: Array, velocities: Array, beads: Ids, forces: Array
 ) -> tuple[Array, Array]:
     """Predict what one action does to ropes, by the chain engine; nothing of the episode is used.
 

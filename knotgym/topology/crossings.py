@@ -307,13 +307,7 @@ def _round(gap: Array, total: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _nearest(
-    pixels: NDArray[Any],
-    along: NDArray[Any],
-    straight: NDArray[Any],
-    turning: NDArray[Any],
-    walk: float,
-) -> float:
+def _nearest(pixels: Array, along: Array, straight: Array, turning: Array, walk: float) -> float:
     """Find the nearest vertices that no path as short as `walk` joins; return their distance.
 
     Args:
