@@ -204,44 +204,23 @@ def _exchange(points: Array, partner: Integers, paid: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _follow(partner: Integers) -> tuple[Integers, Integers]:
-    """Follow links from end to end.
-
-    Returns:
-        int64 (n,), the ends by which points are left, one line after the other; int64 (n,), the
-        number of the line that each belongs to, -1 for a line that doesn't close.
-    """
+def _longest_line(partner: Integers) -> Integers:
+    """Follow links from end to end; return the points of the longest line that closes, int64."""
     n = len(partner) // 2
-    order, line = np.empty(n, np.int64), np.empty(n, np.int64)
+    order, longest = np.empty(n, np.int64), np.empty(0, np.int64)
     seen = np.zeros(n, np.bool_)
-    m = lines = 0
     for start in range(n):
-        if seen[start]:
-            continue
-        begin, end, closed = m, 2 * start + 1, False
-        while True:
-            seen[end // 2] = True
-            order[m], line[m] = end, lines
+        # a point is left by the end across from that at which it was reached
+        m, point, after = 0, start, 2 * start
+        while after >= 0 and not seen[point]:
+            seen[point] = True
+            order[m] = point
             m += 1
-            after = partner[end]
-            if after < 0:
-                break
-            if after // 2 == start:
-                closed = True
-                break
-            if seen[after // 2]:
-                break
-            end = after ^ 1
-        if not closed:
-            line[begin:m] = -1
-            end = partner[2 * start]  # the other way
-            while end >= 0 and not seen[end // 2]:
-                seen[end // 2] = True
-                order[m], line[m] = end, -1
-                m += 1
-                end = partner[end ^ 1]
-        lines += 1
-    return order[:m], line[:m]
+            after = partner[after ^ 1]
+            point = after // 2
+        if after >= 0 and point == start and m > len(longest):
+            longest = order[:m].copy()
+    return longest
 
 
 @inner
@@ -386,11 +365,9 @@ def _line_in(fields: Fields) -> tuple[Array, float] | None:
         return None
     partner, paid = _link(points)
     _exchange(points, partner, paid)
-    order, line = _follow(partner)
-    closed = np.bincount(line[line >= 0]) if (line >= 0).any() else np.zeros(1)
-    if closed.max() < _SHORT:
+    own = _longest_line(partner)
+    if len(own) < _SHORT:
         return None
-    own = order[line == closed.argmax()] // 2
     line = _smooth(points[own, :2])
     if len(line) < _SHORT:
         return None
