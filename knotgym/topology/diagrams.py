@@ -115,7 +115,7 @@ def faces(code: GaussCode) -> list[list[int]]:
     Raises:
         InvalidInput: the code has no chirality.
     """
-    return _cycles(face_permutation(code))
+    return cycles(face_permutation(code))
 
 
 def planar_codes(nx: int) -> Iterator[GaussCode]:
@@ -210,13 +210,13 @@ def _face_permutation(visits: tuple[int, ...], turns: list[int]) -> list[int]:
 def _is_sphere(permutation: list[int]) -> bool:
     """Count the faces, and apply Euler's formula."""
     # n crossings, 2 n edges, 4 n darts: n - 2 n + faces = 2; the plain loop has no darts
-    return not permutation or len(_cycles(permutation)) == len(permutation) // 4 + 2
+    return not permutation or len(cycles(permutation)) == len(permutation) // 4 + 2
 
 
-def _cycles(permutation: list[int]) -> list[list[int]]:
+def cycles(permutation: list[int]) -> list[list[int]]:
     """List the cycles of a permutation, in order of their first members."""
     seen = [False] * len(permutation)
-    cycles = []
+    found = []
     for dart in range(len(permutation)):
         cycle = []
         while not seen[dart]:
@@ -224,8 +224,8 @@ def _cycles(permutation: list[int]) -> list[list[int]]:
             cycle.append(dart)
             dart = permutation[dart]
         if cycle:
-            cycles.append(cycle)
-    return cycles
+            found.append(cycle)
+    return found
 
 
 def _interlacement(positions: list[list[int]]) -> list[set[int]]:

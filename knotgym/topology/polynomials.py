@@ -80,7 +80,7 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
     # with the same matching continue in the same way, so their weights are added up.
     states: dict[Matching, int] = {frozenset(): 1 << digits * lowest}
     # a PD code names the edges counterclockwise from the incoming lower one, which goes north
-    for corners in _sweep(pd_code(code)):
+    for left, corners in zip(range(code.nx)[::-1], _sweep(pd_code(code)), strict=True):
         new: dict[Matching, int] = {}
         for matching, weight in states.items():
             south, east, north, west = corners
@@ -91,27 +91,15 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
                 (((south, west), (north, east)), weight >> digits),
             ):
                 joined, loops = _joined(matching, joints)
-                for _ in range(loops):  # a closed loop is a factor -A^2 - A^-2
+                # a closed loop is a factor -A^2 - A^-2, but for one, which the last crossing closes
+                for _ in range(loops - (not left)):
                     term = -(term << 2 * digits) - (term >> 2 * digits)
                 new[joined] = new.get(joined, 0) + term
         states = new
-    # Normalize: multiply by (-A^3)^-writhe, divide by one loop (-A^2 - A^-2), substitute t = A^-4.
-    bracket = {
-        power - lowest: value
-        for power, value in enumerate(_digits(states[frozenset()], digits))
-        if value
-    }
-    sign = -1 if code.writhe % 2 else 1
-    rest = {power - 3 * code.writhe: sign * value for power, value in bracket.items()}
-    jones: dict[int, int] = {}
-    while rest:  # long division from the highest power of A down; the remainder is 0
-        power = max(rest)
-        value = -rest.pop(power)
-        jones[-(power - 2) // 4] = value
-        rest[power - 4] = rest.get(power - 4, 0) + value
-        if rest[power - 4] == 0:
-            del rest[power - 4]
-    return tuple(sorted(jones.items()))
+    # normalize: multiply by (-A^3)^-writhe, and substitute t = A^-4
+    sign, shift = (-1 if code.writhe % 2 else 1), lowest + 3 * code.writhe
+    bracket = enumerate(_digits(states[frozenset()], digits))
+    return tuple(sorted((-(power - shift) // 4, sign * value) for power, value in bracket if value))
 
 
 def _digits(number: int, digits: int) -> list[int]:

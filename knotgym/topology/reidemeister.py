@@ -17,7 +17,7 @@ must keep both polynomials, and simplified diagrams their knots.
 from collections import deque
 from collections.abc import Iterator
 
-from knotgym.topology.diagrams import face_permutation, summands, with_chirality
+from knotgym.topology.diagrams import cycles, face_permutation, summands, with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, canonical
 
@@ -250,28 +250,21 @@ def _gap_faces(onwards: list[int]) -> tuple[list[int], list[list[int]], int, int
         source, target: the faces with the stub where the missing edge starts and where it ends.
     """
     leaving, arriving = len(onwards) - 2, len(onwards) - 1  # darts of the missing edge
-    face = [-1] * leaving
-    borders: list[list[int]] = []
-    source = target = -1
-    for first in range(leaving):
-        if face[first] >= 0:
-            continue
-        number = len(borders)
-        borders.append([])
-        dart = first
-        while face[dart] < 0:
+    # per dart the next one of its face; and the darts before which the stubs stand
+    around, before = list[int](), dict[int, int]()
+    for dart in range(leaving):
+        after = onwards[dart]
+        # Walk around a stub: out on one dart of the missing edge, back on the other, whose sum is
+        # leaving + arriving.
+        while after >= leaving:
+            before[after] = dart
+            after = onwards[leaving + arriving - after]
+        around.append(after)
+    borders, face = cycles(around), [0] * leaving
+    for number, border in enumerate(borders):
+        for dart in border:
             face[dart] = number
-            borders[number].append(dart)
-            dart = onwards[dart]
-            # Walk around a stub: out on one dart of the missing edge, back on the other, whose sum
-            # is leaving + arriving.
-            while dart >= leaving:
-                if dart == leaving:
-                    source = number
-                else:
-                    target = number
-                dart = onwards[leaving + arriving - dart]
-    return face, borders, source, target
+    return face, borders, face[before[leaving]], face[before[arriving]]
 
 
 def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
