@@ -56,10 +56,8 @@ def test_configuration_versions_and_the_rope_are_written_with_the_states(
     attributes = states.attributes
     assert manifest["config"] == attributes["config"] and manifest["config"]["nx"] == [0, 1]
     assert '"train_share": 0.5' in (curated / "README.md").read_text()
-    assert (attributes["knotgym"], attributes["mujoco"]) == (
-        package.__version__,
-        mujoco.__version__,
-    )
+    versions = package.__version__, mujoco.__version__
+    assert (attributes["knotgym"], attributes["mujoco"]) == versions
     assert attributes["rope"] == rope.config.fingerprint
     # both splits have as many states as asked for, of as many codes as there are
     assert sorted(states.gauss_code.tolist()) == [""] * 4 + ["1+,1-"] * 2 + ["1-,1+"] * 2
@@ -76,18 +74,11 @@ def test_the_gallery_shows_every_state_as_a_diagram(curated: Path, states: State
 
 def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
     text = (curated / "README.md").read_text()
-    assert (
-        text.startswith("---\nlicense: cc-by-4.0\n") and "# Rope states with 0, 1 crossings" in text
-    )
+    assert text.startswith("---\nlicense: cc-by-4.0\n")
     assert "| 1 | 4 | 2 | 3 | 2 / 2 |" in text and "with engine mujoco and seed 0" in text
     assert not re.search(r"^\|.*(\{|\d\.\d{5})", text, re.M)  # nothing dumped into a cell
-    for part in (
-        "![every state with its code](gallery.png)",
-        "## Columns of states.h5",
-        "## To cite",
-        "```bibtex",
-    ):
-        assert part in text
+    assert "# Rope states with 0, 1 crossings" in text and "## Columns of states.h5" in text
+    assert "![every state with its code](gallery.png)" in text and "```bibtex" in text
 
 
 # What can be done with it.

@@ -155,6 +155,8 @@ def test_a_dataset_holds_the_digests_of_what_made_it(
 def test_ids_tell_every_setting_that_changes_the_data() -> None:
     usual = config(task=CollectConfig().task, policy="expert")  # vertices
     budget = PolicyConfig(policy="expert", planner=PullPlannerConfig(budget=7))
+    changes: dict[str, Any] = {"nx": 3, "split": "test", "states": "random-walk", "horizon": 7}
+    changes |= {"engine": "chain", "observation": "both", "max_goals": 2}
     others = [
         replace(usual, seed=1),
         replace(usual, keep_failed=False),
@@ -162,16 +164,8 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
         replace(usual, policy=budget),
         *(replace(usual, policy=PolicyConfig(policy=f"mine:{one}")) for one in ("act", "other")),
         *(
-            replace(usual, task=replace(usual.task, **changed))
-            for changed in (
-                {"nx": 3},
-                {"split": "test"},
-                {"states": "random-walk"},
-                {"engine": "chain"},
-                {"observation": "both"},
-                {"horizon": 7},
-                {"max_goals": 2},
-            )
+            replace(usual, task=replace(usual.task, **{name: value}))
+            for name, value in changes.items()
         ),
     ]
     ids = [_distinct_id(one) for one in (usual, *others)]

@@ -38,12 +38,7 @@ def test_states_of_another_rope_say_so_and_have_no_fault(states: Path) -> None:
 
 
 def test_an_environment_has_the_rope_that_it_is_told_and_no_other(states: Path) -> None:
-    given: dict[str, Any] = {
-        "nx": 1,
-        "states": str(states),
-        "engine": "chain",
-        "observation": "state",
-    }
+    given: dict[str, Any] = {"nx": 1, "states": str(states), "observation": "state"}
     env = KnotEnv("unknot", beads=BEADS, **given)
     assert env.observation_space.shape == (6 * BEADS,)
     seen, info = env.reset(seed=0)

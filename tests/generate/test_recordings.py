@@ -11,7 +11,7 @@ from knotgym.common import InvalidFile, InvalidInput, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate.episode_configs import CollectConfig
+from knotgym.generate.episode_configs import CollectConfig, SuiteConfig
 from knotgym.generate.recordings import Recording, digests, first_difference, rebuilt
 
 CONFIG = CollectConfig(
@@ -81,8 +81,6 @@ def test_damaged_recordings_are_refused(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_ones_that_ship_are_of_the_suite() -> None:
-    from knotgym.generate.episode_configs import SuiteConfig
-
     sets = {one.dataset_id: one for one in SuiteConfig().sets()}
     for name, one in Recording.read_all().items():
         # by the policy as it was when they were recorded

@@ -96,8 +96,8 @@ def test_a_killed_session_loses_nothing_and_stores_nothing_twice(
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
         assert recorder.recovered == 1 and recorder.next_number() == 2
         recorder.note(1, session.pulls)  # as if killed after publishing, before forgetting
-        with pytest.raises(Occupied), Recorder(TASK, 4, ID, root=tmp_path):
-            pass
+        with pytest.raises(Occupied):
+            Recorder(TASK, 4, ID, root=tmp_path).__enter__()
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
         assert recorder.recovered == 0
     assert stored(recorder) == 2 and not staging_of(recorder.folder).exists()
@@ -150,11 +150,8 @@ def test_another_session_s_pulls_are_not_taken_over(
     played(session)
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
         recorder.note(0, session.pulls)
-    with (
-        pytest.raises(InvalidInput, match="different run"),
-        Recorder(task, seed, ID, player, tmp_path),
-    ):
-        pass
+    with pytest.raises(InvalidInput, match="different run"):
+        Recorder(task, seed, ID, player, tmp_path).__enter__()
 
 
 def test_other_data_are_left_alone(session: Session, tmp_path: Path) -> None:
@@ -162,11 +159,8 @@ def test_other_data_are_left_alone(session: Session, tmp_path: Path) -> None:
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
         recorder.finish(0, session.pulls)
     other = TaskConfig(task="tie", nx=2, observation="state")
-    with (
-        pytest.raises(InvalidFile, match="isn't a recording of this task"),
-        Recorder(other, 4, ID, root=tmp_path),
-    ):
-        pass
+    with pytest.raises(InvalidFile, match="isn't a recording of this task"):
+        Recorder(other, 4, ID, root=tmp_path).__enter__()
 
 
 @pytest.mark.parametrize("player", ["a\x1b[2J", "x" * 81])

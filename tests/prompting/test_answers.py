@@ -16,13 +16,11 @@ def test_an_answer_after_thoughts_is_read() -> None:
     ("text", "fault"),
     [
         ("", "no block"),
-        (ONE, "no block"),
         (f"</answer>{ONE}<answer>", "no block"),
         (f"<answer>{ONE}", "no block"),
         (f"<answer>{ONE}</answer> or <answer>{ONE}</answer>", "several blocks"),
         ("<answer>pull it</answer>", "malformed"),
         (f"<answer>[{ONE}]</answer>", "malformed"),
-        ("<answer>[0.1, left, 0, 1, 0, 0]</answer>", "malformed"),
         ("<answer>[0.1, 1_0, 0, 1, 0, 0]</answer>", "malformed"),
         ("<answer>[0, 0, 0, 1, 0]</answer>", "not six numbers"),
         (f"<answer>[{', '.join(['0'] * 11)}]</answer>", "not six numbers"),

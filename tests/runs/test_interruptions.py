@@ -45,9 +45,11 @@ def test_a_read_only_target_is_one_line(tmp_path: Path, capfd: pytest.CaptureFix
 def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(tmp_path: Path) -> None:
     words = typed(*COLLECT, "--workers", 2, "--out", tmp_path)
     broken = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while broken.poll() is None and not (below := descendants(broken.pid, "forkserver")):
+    workers = list[int]()
+    while broken.poll() is None and not workers:
         time.sleep(0.01)
-    os.kill(below[-1], signal.SIGKILL)
+        workers = [own for child in children(broken.pid) for own in children(child)]
+    os.kill(workers[-1], signal.SIGKILL)
     error = broken.communicate(timeout=SECONDS)[1]
     assert broken.returncode == 1 and error.startswith("knotgym: a worker died or memory ran out")
     assert error.count("\n") == 1
@@ -76,14 +78,7 @@ def test_asked_to_stop_it_says_so_once_and_leaves_its_work_at_most(
     assert all(path.name.startswith(".") for path in tmp_path.iterdir())
 
 
-def descendants(process: int, named: str) -> list[int]:
-    """The processes below one that descend from the one with this word in its command line."""
-    own = [
-        int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()
-    ]
-    found = []
-    for child in own:
-        below = Path(f"/proc/{child}/task/{child}/children").read_text().split()
-        if named in Path(f"/proc/{child}/cmdline").read_text():
-            found += [int(word) for word in below]
-    return found
+def children(process: int) -> list[int]:
+    """The processes that one has started."""
+    listed = Path(f"/proc/{process}/task/{process}/children").read_text()
+    return [int(word) for word in listed.split()]
