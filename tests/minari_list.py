@@ -2,8 +2,6 @@
 recover the environment, every frame compared.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

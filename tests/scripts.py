@@ -1,7 +1,5 @@
 """Scripts of benchmarks/ and examples/, run in this process as a user types them."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import sys

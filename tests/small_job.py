@@ -1,7 +1,5 @@
 """The main job, small enough for tests, and commands typed in this or another process."""
 
-from __future__ import annotations
-
 import fnmatch
 import os
 import signal

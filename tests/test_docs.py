@@ -2,8 +2,6 @@
 that links lead somewhere.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

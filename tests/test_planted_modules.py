@@ -1,7 +1,5 @@
 """A command that is typed in somebody else's folder runs no code that lies there."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

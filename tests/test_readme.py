@@ -3,8 +3,6 @@ copy of the checkout, a fresh virtual environment and home folder, no display. I
 that each line took. `pytest -m slow -s tests/test_readme.py`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -3,8 +3,6 @@
 Each test failed before the fault that it tells of was mended.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A wrong call in Python is one line that says what was wrong, and what would be right."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Goal-conditioned environments: relabelled rewards, and OGBench's interface."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

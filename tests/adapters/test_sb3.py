@@ -1,7 +1,5 @@
 """Stable-Baselines3 over one batched simulation; run with -m clients where it is installed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checkpoints are read whole or refused in one line, and nothing in them is run."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The clone: what it learns, how it acts, and who may read its files."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import islice

@@ -1,7 +1,5 @@
 """The learner from pictures as a policy: it observes nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

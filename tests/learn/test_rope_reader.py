@@ -1,7 +1,5 @@
 """Tests of the reader without hue: lines that are drawn are walked, turned pictures agree."""
 
-from __future__ import annotations
-
 import runpy
 from typing import Any
 

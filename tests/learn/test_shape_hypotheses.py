@@ -1,7 +1,5 @@
 """The learner keeps several hypotheses of the rope's shape; motion tells them apart."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

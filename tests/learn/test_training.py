@@ -1,7 +1,5 @@
 """Training: the same bytes every time, interrupted or not, and on nothing but train episodes."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

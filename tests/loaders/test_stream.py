@@ -1,7 +1,5 @@
 """Streams: batches of episodes and pictures that are made as they are needed."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import random

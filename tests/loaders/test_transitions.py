@@ -1,7 +1,5 @@
 """Tests of loaders: every row of a batch is aligned with the columns of the dataset."""
 
-from __future__ import annotations
-
 import importlib.util
 import pickle
 from dataclasses import replace

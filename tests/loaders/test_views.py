@@ -1,7 +1,5 @@
 """Decisions and the canonical frame: what loaders make of pulls, policies make pulls of again."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tests of windows: every number equals a slow reference, row by row, on random episodes."""
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from dataclasses import dataclass, replace

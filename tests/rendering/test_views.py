@@ -1,7 +1,5 @@
 """Side views and depth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Lanes reckon as NumPy does, each for itself."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
