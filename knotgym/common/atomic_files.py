@@ -237,10 +237,7 @@ def require_no_links(root: Path, files: Iterable[Path]) -> None:
             if step == root:
                 break
             if step.is_symlink():
-                raise InvalidFile(
-                    f"{step} is a link, and only a dataset's own files are copied; replace it by"
-                    " the file itself"
-                )
+                raise InvalidFile(f"{step} is a link, which is never copied; put its file there")
 
 
 def require_regular(

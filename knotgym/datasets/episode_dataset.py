@@ -210,10 +210,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
         return source
     path = episode_file(source)
     if path.name == MAIN:
-        raise InvalidFile(
-            f"{path} was recorded by Minari, without what playing it again needs: loaders read it,"
-            " other commands don't"
-        )
+        raise InvalidFile(f"{path} was recorded by Minari: it can be loaded, but not played again")
     _, attributes = read_tables(path, format=FORMAT, version=VERSION)
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
@@ -228,10 +225,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
     if int(lengths.sum()) + rows.rows != steps.rows:
-        raise InvalidFile(
-            f"{path} has {steps.rows} rows of steps, and its {rows.rows} episodes have"
-            f" {int(lengths.sum()) + rows.rows}"
-        )
+        raise InvalidFile(f"{path} has {steps.rows} rows of steps, not those of its episodes")
     opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
     return _chosen(_unpacked(opened) if attributes["form"] == "recording" else opened, source)
 

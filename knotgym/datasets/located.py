@@ -97,9 +97,7 @@ class Located(NamedTuple):
             InvalidInput: it is several datasets, or of another kind.
         """
         if kinds and self.kind not in kinds:
-            raise InvalidInput(
-                f"{self.root} contains {self.kind}, but this command takes {' or '.join(kinds)}"
-            )
+            raise InvalidInput(f"{self.root} contains {self.kind}, not {' or '.join(kinds)}")
         if self.kind == "episodes" and len(self.episodes) > 1:
             listed = ", ".join(map(str, self.episodes))
             raise InvalidInput(f"{self.root} contains several datasets, give one of them: {listed}")
@@ -117,10 +115,7 @@ def locate(named: str) -> Located:
     root = resolve(named)
     found = _located(root)
     if found is None:
-        raise InvalidInput(
-            f"{named} contains no states.h5, no pictures and no Minari dataset: give the output of"
-            " a knotgym command"
-        )
+        raise InvalidInput(f"{named} contains no states.h5, no pictures and no Minari dataset")
     require_no_links(root, found.files)
     return found
 

@@ -113,8 +113,7 @@ class MinariMetadata:
     def __post_init__(self) -> None:
         if _ID.fullmatch(self.dataset_id) is None:
             raise InvalidInput(
-                "a dataset id has the form namespace/name-v0, of letters, digits, - and _; got"
-                f" {self.dataset_id!r}"
+                f"a dataset id has the form namespace/name-v0, got {self.dataset_id!r}"
             )
         for name in ("author", "author_email"):
             object.__setattr__(self, name, tuple(sorted(getattr(self, name))))

@@ -243,9 +243,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             seed = [int(seed) + i for i in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
-            raise InvalidInput(
-                f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}"
-            )
+            raise InvalidInput(f"{self.num_envs} ropes need as many seeds, got {len(seeds)}")
         chosen = np.flatnonzero(mask)
         for i in chosen:
             if seeds[i] is not None:

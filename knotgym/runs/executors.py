@@ -203,9 +203,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
     try:
         yield _Cluster(client.get_executor(pure=False), len(client.nthreads()))
     except distributed.KilledWorker as error:
-        raise Failed(
-            "several workers of the cluster died on the same work; --resume continues from there"
-        ) from error
+        raise Failed("several workers died on the same work; --resume goes on there") from error
     except (distributed.comm.CommClosedError, CancelledError) as error:
         raise Failed("the scheduler is gone; --resume goes on, with any executor") from error
     finally:

@@ -82,10 +82,7 @@ class Existing:
 
     def __post_init__(self) -> None:
         if self.resume and self.restart:
-            raise InvalidInput(
-                "--resume continues an interrupted run and --restart deletes its work: give only"
-                " one of them"
-            )
+            raise InvalidInput("--resume and --restart exclude each other: give only one of them")
 
 
 @configuration
@@ -109,7 +106,4 @@ class RunOptions(Existing):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scheduler and self.workers:
-            raise InvalidInput(
-                f"--workers {self.workers} is for local processes; a Dask cluster uses all of its"
-                " workers"
-            )
+            raise InvalidInput(f"--workers {self.workers} is for local processes, not clusters")

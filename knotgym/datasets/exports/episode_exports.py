@@ -113,9 +113,7 @@ def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
         Occupied: a file exists, and `overwrite` is False.
     """
     if len(source.episodes) > 1:
-        raise InvalidInput(
-            f"{source.title} has {len(source.episodes)} datasets; export them to ogbench one by one"
-        )
+        raise InvalidInput(f"{source.title} has several datasets; export them one by one")
     dataset = columns_of(source.episodes[0])
     shown, count = dataset.task.observation, dataset.episodes.episodes.rows
     looks = [name for name in _LOOKS if shown in (name, "both")]

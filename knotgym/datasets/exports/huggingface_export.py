@@ -127,10 +127,7 @@ def _tables(
             part = states.take(np.flatnonzero(states.split == split)).table
             yield "states", split, [part] if part.rows else []
     if len({one.task.engine for one in datasets}) > 1:
-        raise InvalidInput(
-            "trajectories exported together must be of one engine; export those of each engine by"
-            " themselves"
-        )
+        raise InvalidInput("episodes exported together are of one engine; export each by itself")
     pictures = all(one.task.observation in ("pixels", "both") for one in datasets)
     stored = {name for one in datasets for name in one.episodes.steps}
     lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
