@@ -1,6 +1,6 @@
 """How far long work is: whatever takes long counts here, and the display of a command listens."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeAlias, TypeVar
@@ -32,8 +32,9 @@ class Counts:
             cls.listeners[-1](stage, done, total)
 
     @classmethod
-    def over(cls, items: Iterable[Item], stage: str, total: int) -> Iterator[Item]:
-        """Yield items, and tell how many of `total` are done."""
+    def over(cls, items: Iterable[Item], stage: str, total: int | None = None) -> Iterator[Item]:
+        """Yield items, and tell how many of `total` are done, by default their number."""
+        total = len(items) if total is None and isinstance(items, Sized) else total or 0
         for done, item in enumerate(items):
             cls.tell(stage, done, total)
             yield item

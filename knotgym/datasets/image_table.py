@@ -39,7 +39,7 @@ from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest
 
 FORMAT = "knotgym-images"
 VERSION = 2  # 2: ropes are drawn by distance
-_DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
+_DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `content_digest`
 _ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
 _LEAST_ROW = 64  # bytes; every row stores more, because it has its own picture
 _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
@@ -168,10 +168,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
 def parquet(rows: Any) -> bytes:
     """Return the bytes of a shard of rows, or a pyarrow.Table; the same rows give the same."""
     table = table_of(rows) if isinstance(rows, Sequence) else rows
-    digest = hashlib.sha256()
-    for row in rows_of(table):
-        digest.update(row_line(row))
-    named = {"format": FORMAT, "format_version": VERSION, _DIGEST: digest.hexdigest()}
+    named = {"format": FORMAT, "format_version": VERSION, _DIGEST: content_digest(table)}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
     table, sink = table.replace_schema_metadata(metadata), arrow().BufferOutputStream()
     arrow("pyarrow.parquet").write_table(
@@ -290,18 +287,18 @@ def rows_of(table: Any) -> Iterator[dict[str, Any]]:
             yield row | {name: row[name]["bytes"] for name in pngs if name in row}
 
 
-def row_line(row: Mapping[str, Any]) -> bytes:
-    """Serialize a row as a line of JSON, with the SHA-256 of pictures instead of the pictures.
+def content_digest(table: Any) -> str:
+    """Hash rows as lines of JSON, with the SHA-256 of pictures instead of the pictures.
 
-    The SHA-256 of all lines is `content_sha256` of a shard; it doesn't depend on how Parquet stores
-    the rows.
+    It is `content_sha256` of a shard, and doesn't depend on how Parquet stores the rows.
     """
-    values = {
-        name: hashlib.sha256(row[name]).hexdigest() if kind == "image" else row[name]
-        for name, kind in sorted(columns_among(row).items())
-    }
-    line = json.dumps([*values.values()], sort_keys=True)
-    return f"{line}\n".encode()
+    whole, kinds = hashlib.sha256(), sorted(columns_among(table.column_names).items())
+    for row in rows_of(table):
+        for name, _ in (one for one in kinds if one[1] == "image"):
+            row[name] = hashlib.sha256(row[name]).hexdigest()
+        line = json.dumps([row[name] for name, _ in kinds], sort_keys=True)
+        whole.update(f"{line}\n".encode())
+    return whole.hexdigest()
 
 
 def points_of(table: Any) -> NDArray[np.float64]:

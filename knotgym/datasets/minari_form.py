@@ -381,7 +381,7 @@ def _different(stored: h5py.File, right: h5py.File) -> Iterator[str]:
     for name in sorted(names[0] ^ names[1]):
         yield f"{name} is {'missing' if name in names[1] else 'not written by knotgym'}"
     both = sorted(names[0] & names[1])
-    for name in Counts.over(both, "comparing Minari's form", len(both)):
+    for name in Counts.over(both, "comparing Minari's form"):
         one, other = stored[name], right[name]
         same = dict(one.attrs) == dict(other.attrs)
         if isinstance(other, h5py.Dataset):

@@ -5,7 +5,6 @@ points, replays what led to a state, draws a picture again from its appearance, 
 splits share. Each fault is reported as one line.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -39,12 +38,12 @@ from knotgym.datasets.episode_verification import (
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import (
     arrow,
+    content_digest,
     derived,
     digest_of,
     marks_base,
     points_of,
     read_table,
-    row_line,
     rows_of,
     shards,
 )
@@ -343,7 +342,7 @@ def _shard_faults(path: Path) -> tuple[list[str], Any]:
     The rows are compared with its `content_sha256`. Of a shard that can't be read, or whose points
     aren't finite, no columns are returned.
     """
-    faults, digest = list[str](), hashlib.sha256()
+    faults = list[str]()
     try:
         table = read_table(path)
     except (InvalidFile, MissingFile) as error:
@@ -354,8 +353,7 @@ def _shard_faults(path: Path) -> tuple[list[str], Any]:
         except _RAISED as error:
             own = [f"it can't be rendered or measured: {one_line(error)}"]
         faults += [f"{path.name} row {n}: {fault}" for fault in own]
-        digest.update(row_line(row))
-    if digest_of(table) != digest.hexdigest():
+    if digest_of(table) != content_digest(table):
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     try:
         points_of(table)

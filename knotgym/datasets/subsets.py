@@ -506,7 +506,7 @@ def _facts(dataset: EpisodeDataset) -> dict[str, object]:
 def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
     """Refuse two episodes with the same start, goal and pulls."""
     every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
-    told = Counts.over(datasets, "comparing episodes of datasets", len(datasets))
+    told = Counts.over(datasets, "comparing episodes of datasets")
     for pair in repeated(digest for one in told for digest in one.episodes.digests()):
         first, second = (f"episode {every[k][1]} of {every[k][0].path}" for k in pair)
         raise InvalidInput(f"{first} and {second} are the same; merge sets that share no episode")

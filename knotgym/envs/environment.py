@@ -210,7 +210,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array")
         self.num_envs = num_envs
-        self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
+        self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
         self.single_observation_space = self.episodes.space
@@ -243,7 +243,9 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             seed = [int(seed) + i for i in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
-            raise InvalidInput(f"{self.num_envs} ropes need as many seeds, got {len(seeds)}")
+            raise InvalidInput(
+                f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}"
+            )
         chosen = np.flatnonzero(mask)
         for i in chosen:
             if seeds[i] is not None:
@@ -263,7 +265,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             raise InvalidInput(
                 f"actions must have shape {self.action_space.shape}, got {actions.shape}"
             )
-        if done.any() and self._autoreset == _DISABLED:
+        if done.any() and self.autoreset_mode == _MODE(_DISABLED):
             raise InvalidInput(
                 f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options"
                 " reset_mask) before the next step"
@@ -281,7 +283,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             restart()
         self._done = terminated | truncated
         final: dict[str, Any] = {}
-        if self._autoreset == _SAME_STEP and self._done.any():
+        if self.autoreset_mode == _MODE(_SAME_STEP) and self._done.any():
             ended = np.flatnonzero(self._done)
             last = np.full(self.num_envs, None, dtype=object)
             for i in ended:
@@ -319,14 +321,14 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         return infos
 
 
-def _autoreset(mode: str | AutoresetMode) -> tuple[str, str | AutoresetMode]:
-    """Return the name of an autoreset mode and Gymnasium's constant for it."""
+def _autoreset(mode: str | AutoresetMode) -> str | AutoresetMode:
+    """Return Gymnasium's constant for an autoreset mode."""
     known = {"next_step": _NEXT_STEP, "same_step": _SAME_STEP, "disabled": _DISABLED}
     given = str(getattr(mode, "value", mode))
     name = known.get(given, given)
     if name not in known.values():
         raise InvalidInput(f"no autoreset_mode {given!r}; there is {', '.join(known)}")
-    return name, _MODE(name)
+    return _MODE(name)
 
 
 def _require_reset(episodes: EpisodeBatch) -> None:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 _OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro", "decision")  # see `knotgym.rope.action_views`
-FRAMES = ("world", "canonical")  # see `TaskConfig.require_view`
 MOST_STEPS = 100_000  # of an episode; arrays of all steps are made before it begins
 _BEADS = range(50, 1001)  # that a rope may have
 # parameters of the rope that its states depend on, and those that the keyword `rope` can't set
@@ -133,7 +132,7 @@ class TaskConfig:
     rope: dict[str, float] | None = None
     observation: Annotated[str, choice(*_OBSERVATIONS)] = "pixels"
     action: Annotated[str, choice(*ACTIONS)] = "pull"
-    frame: Annotated[str, choice(*FRAMES)] = "world"
+    frame: Annotated[str, choice("world", "canonical")] = "world"
     max_goals: PositiveInt | None = None
     horizon: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 50
     hold: PositiveInt = 1
@@ -164,7 +163,14 @@ class TaskConfig:
                 )
             _ = self.rope_config  # refuses values out of range
         PictureConfig(depth=self.depth, renderer=self.renderer)  # type: ignore[arg-type]
-        self.require_view(self.observation, self.action, self.frame)
+        if self.frame == "canonical" and (
+            self.observation not in ("state", "marked") or self.action == "bead"
+        ):
+            raise InvalidInput(
+                'frame "canonical" goes with observation "state" or "marked" and any action but'
+                ' "bead", whose forces are of the world; got'
+                f" {self.observation!r} and {self.action!r}"
+            )
         if max(self.crossings) > (most := self.most_nx(self.beads)):
             raise InvalidInput(f"nx must be from 1 to {most} on {self.beads} beads, got {self.nx}")
         if self.split in CODE_SPLITS and min(self.crossings) < 2:
@@ -210,22 +216,6 @@ class TaskConfig:
     def most_nx(beads: int) -> int:
         """Return the largest number of crossings for which a rope of so many beads has room."""
         return 11 * beads // 100  # a rope of 100 beads hardly has room for more
-
-    @staticmethod
-    def require_view(observation: str, action: str, frame: str) -> None:
-        """Raise InvalidInput if there are none of these names, or they don't go together."""
-        for name, given, known in (
-            ("observation", observation, _OBSERVATIONS),
-            ("action", action, ACTIONS),
-            ("frame", frame, FRAMES),
-        ):
-            if given not in known:
-                raise InvalidInput(f"no {name} {given!r}; there is {', '.join(known)}")
-        if frame == "canonical" and (observation not in ("state", "marked") or action == "bead"):
-            raise InvalidInput(
-                'frame "canonical" goes with observation "state" or "marked" and any action but'
-                f' "bead", whose forces are of the world; got {observation!r} and {action!r}'
-            )
 
     @property
     def tasks(self) -> tuple[str, ...]:

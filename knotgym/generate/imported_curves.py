@@ -75,7 +75,7 @@ def import_curves(paths: Sequence[str | Path]) -> tuple[States, list[str]]:
         except InvalidInput as error:
             refused.append(str(error))
     made: list[tuple[str, dict[str, Any]]] = []
-    for number, curve in enumerate(Counts.over(curves, "relaxing curves", len(curves))):
+    for number, curve in enumerate(Counts.over(curves, "relaxing curves")):
         try:
             made.append((curve.name, _laid(curve.points, number, simulation)))
         except InvalidInput as error:

@@ -85,7 +85,7 @@ def as_policy(
         InvalidInput: there is no such view.
         InvalidPolicy: the model can't be called.
     """
-    TaskConfig.require_view(observation, action, frame)
+    TaskConfig(task="tie", observation=observation, action=action, frame=frame)  # if there are such
     return RowPolicy(_function_of(model), action, frame, observation)
 
 

@@ -138,7 +138,7 @@ class Transitions:
             raise InvalidInput(f"window must be such as Window(n_step=5), got {window!r}")
         goals = window is not None and window.goals is not None
         chunk = window is not None and window.chunk is not None
-        TaskConfig.require_view(observation, self.action, self.frame)
+        TaskConfig(task="tie", observation=observation, action=self.action, frame=self.frame)
         refusals = {
             f"the expert's actions are pulls: use labels without action {self.action!r}": (
                 self.leads and self._labels

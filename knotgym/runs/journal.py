@@ -212,15 +212,11 @@ def _lock(file: IO[bytes], path: Path, kind: int) -> None:
 
 def _opened(path: Path, flags: int, mode: str) -> IO[bytes]:
     """Open a regular file in a folder that is no link; pipes don't block."""
-    wrong = InvalidFile(f"{path.parent} should be the folder of a journal; remove it")
-    if path.parent.is_symlink():
+    folder = path.parent
+    wrong = InvalidFile(f"{folder} should be the folder of a journal; remove it")
+    if folder.is_symlink() or path.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise wrong
-    try:
-        descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-    except OSError as error:
-        if isinstance(error, (FileNotFoundError, NotADirectoryError)):
-            raise wrong if path.parent.is_file() else FileNotFoundError(str(path)) from None
-        raise wrong if path.is_symlink() or not path.parent.is_dir() else error from None
+    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise wrong
@@ -261,7 +257,7 @@ def _read(path: Path, check: bool = True) -> Result | None:
         record = np.ndarray(shape, dtype, data, head.tell())
         return {name: record[name] for name in dtype.names}
     except OSError as error:
-        if error.errno is not None and not path.is_symlink():
+        if error.errno is not None:
             raise
         return None
     except Exception:  # there is no end to what foreign bytes make NumPy raise

@@ -118,21 +118,19 @@ class States:
             )
         if curves.shape[1] and same_spot(curves)[:, -1].all():
             curves = curves[:, :-1]  # the first vertex again, which makes no bead
-        rope = Rope(RopeConfig.of(curves.shape[1]))
-        rows = list[dict[str, Any]]()
+        rope, laid = Rope(RopeConfig.of(curves.shape[1])), list[NDArray[np.float64]]()
         for number, curve in enumerate(curves):
             try:
-                qpos = rope.qpos(rope.from_curve(curve, max_overlap=_OVERLAP))
+                laid.append(rope.qpos(rope.from_curve(curve, max_overlap=_OVERLAP)))
             except InvalidInput as error:
                 raise InvalidInput(f"rope {number}: {error}") from None
-            laid = rope.points(qpos)
-            rows.append({"qpos": qpos, "points": laid, **STATES.derive(RopeAtRest(laid))})
-            if rows[-1]["knot"] == UNKNOWN:
-                raise InvalidInput(f"rope {number}: its knot can't be certified")
-        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        columns = {"qpos": np.array(laid), "points": rope.points(np.array(laid))}
+        columns |= _derived(columns, [c.name for c in STATES.columns])
+        for number in np.flatnonzero(columns["knot"] == UNKNOWN).tolist():
+            raise InvalidInput(f"rope {number}: its knot can't be certified")
         made_by = {"knotgym": knotgym.__version__, "mujoco": mujoco.__version__}
         return cls.of(
-            {**columns, "split": np.broadcast_to(splits, len(rows)).copy()},
+            {**columns, "split": np.broadcast_to(splits, len(laid)).copy()},
             {**made_by, "rope": rope.config.fingerprint, "config": {"made": "from points"}},
         )
 

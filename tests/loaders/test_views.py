@@ -130,7 +130,7 @@ def test_the_canonical_frame_shows_all_images_of_a_state_alike() -> None:
 def test_what_is_no_model_or_acts_wrongly_is_one_line(played_back: Any) -> None:
     with pytest.raises(InvalidPolicy, match="such as model.predict, a torch module or an ONNX"):
         as_policy(3)
-    with pytest.raises(InvalidInput, match="no action 'decisions'; there is pull"):
+    with pytest.raises(InvalidInput, match="one of pull, .*got 'decisions'"):
         as_policy(len, action="decisions")
     with pytest.raises(InvalidPolicy, match="must give 43 finite numbers in"):
         played_back(as_policy(lambda seen: np.zeros((len(seen), 6))))

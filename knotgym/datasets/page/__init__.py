@@ -187,7 +187,7 @@ def _shapes(
                 "q": [_number(values[k]) for _, values in measures.values()],
                 "x": _crossings(points[k]),
             }
-            for k, number in enumerate(Counts.over(rows, "shapes of the page", len(rows)))
+            for k, number in enumerate(Counts.over(rows, "shapes of the page"))
         ],
     }
 
@@ -212,7 +212,7 @@ def _episodes(sources: Sequence[Path], notices: list[str], about: dict[str, Any]
         "steps": sum(lengths),
         **_versions(datasets[0].attributes.get("versions") or {}),
     }
-    told = Counts.over(rows, "episodes of the page", len(rows))
+    told = Counts.over(rows, "episodes of the page")
     return {"episodes": [_episode(*every[k]) for k in told], "beads": datasets[0].task.beads}
 
 
