@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import Column, InvalidInput, Schema, Table, padded
 from knotgym.envs import TaskConfig
 from knotgym.rope import TowBound
-from knotgym.topology import GaussCode
+from knotgym.topology import CodeArrays, GaussCode
 
 
 def _of(what: str, *columns: Column) -> tuple[Column, ...]:
@@ -404,16 +404,12 @@ def gauss_codes(
     Raises:
         InvalidInput: numbers aren't a Gauss code.
     """
-    both = visits if signs is None else np.concatenate([visits, signs.astype(np.int16)], axis=1)
-    ids, texts = _code_ids(both), list[str]()
-    for row in np.unique(ids, return_index=True)[1]:
-        numbers = tuple(visits[row][visits[row] != 0].tolist())
-        if signs is None:
-            texts.append(str(GaussCode(numbers)))
-        else:
-            own = GaussCode.letters_of(signs[row][: len(numbers) // 2].tolist())
-            texts.append(GaussCode(numbers, own).chiral)
-    return np.array(texts, dtype=str)[ids]
+    texts = CodeArrays(visits).texts()
+    for text in {*texts.tolist()}:
+        GaussCode.parse(text)  # which a stranger's numbers needn't be
+    if signs is not None:
+        texts = CodeArrays(visits, padded(signs, visits.shape[1] // 2)).texts()
+    return texts.astype(str)
 
 
 def _names(schema: Schema) -> list[str]:

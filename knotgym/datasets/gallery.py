@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from knotgym.common import Counts
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
+from knotgym.datasets.image_table import decode, encode, read_table
 from knotgym.rendering import draw_diagram
 from knotgym.states import States, read_states
 
@@ -59,9 +60,7 @@ def _contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]
 def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     """Write the contact sheet of tiles as a PNG."""
     # level 9 takes five times as long, for 2 % less
-    sheet = _contact_sheet(tiles)[..., ::-1]
-    _, data = cv2.imencode(".png", sheet, [cv2.IMWRITE_PNG_COMPRESSION, 6])
-    Path(path).write_bytes(bytes(data))
+    Path(path).write_bytes(encode(_contact_sheet(tiles), 6))
 
 
 def write_sheet(path: Path, found: "Located") -> str:
@@ -93,11 +92,9 @@ def state_tiles(states: States) -> list[Tile]:
         (states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}")
         for i in order
     )
+    told = Counts.over(order, "drawing diagrams")
     return [
-        Tile(draw_diagram(states.points[i]), words)
-        for i, words in Counts.over(
-            zip(order, captions, strict=True), "drawing diagrams", len(order)
-        )
+        Tile(draw_diagram(states.points[i]), words) for i, words in zip(told, captions, strict=True)
     ]
 
 
@@ -131,8 +128,6 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 
 def _picture_tiles(table: str | os.PathLike[str]) -> tuple[list[Tile], int]:
     """Return a sample of SHOWN pictures of a perception table, even over splits and nx, of all."""
-    from knotgym.datasets.image_table import decode, read_table
-
     found = read_table(table, columns=["image", "gauss_code_chiral", "split", "nx"])
     rows = sample([*zip(found["split"].to_pylist(), found["nx"].to_pylist(), strict=True)])
     tiles = [

@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.datasets.gallery import state_tiles, write_gallery
+from knotgym.datasets.image_table import file_stem, marks_base, read_table, shards
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES, Quality
+from knotgym.rendering import APPEARANCES
 from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, nearest, read_states
 from knotgym.topology import GaussCode, Symmetry, canonical
 
@@ -184,8 +186,6 @@ def in_words(value: Any) -> str:
 def summary(found: "Located") -> tuple[list[str], dict[str, CardTable]]:
     """Return what states or pictures are, in lines, and the tables of facts about them by name."""
     if found.pictures:
-        from knotgym.datasets.image_table import read_table, shards  # here, as states need neither
-
         size = sum(shard.stat().st_size for shard in shards(found.pictures))
         count = len(read_table(found.pictures, columns=["nx"]))
         lines = [f"{count} pictures, {size / count:.0f} bytes each"]
@@ -342,8 +342,6 @@ def _spread(states: States, nx: int) -> tuple[object, ...]:
 
 def _image_tables(path: Path) -> dict[str, CardTable]:
     """Return the tables of facts about a perception table by name."""
-    from knotgym.datasets.image_table import read_table
-
     rows = read_table(path, columns=[*_COUNTED, "quality"])
     quality = rows["quality"].combine_chunks()
     measures = {
@@ -357,9 +355,6 @@ def _image_tables(path: Path) -> dict[str, CardTable]:
 
 def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
-    from knotgym.datasets.image_table import file_stem, marks_base, read_table, shards
-    from knotgym.rendering import APPEARANCES
-
     name = config["appearance"]["name"]
     rows, files = read_table(folder, columns=["nx", "split", "appearance"]), shards(folder)
     splits = [name for name in IMAGE_SPLITS if name in set(rows["split"].to_pylist())]
