@@ -265,10 +265,7 @@ def columns_of(source: Any) -> EpisodeDataset:
         return _chosen(EpisodeDataset(path, *recorded_columns(path), {}), source)
     opened = open_episodes(source)
     if opened.episodes.is_recording:
-        raise InvalidInput(
-            f"{opened.path} is a recording, of starts and pulls alone; play it again with knotgym"
-            " dataset export --to columns"
-        )
+        raise InvalidInput(f"{opened.path} is a recording; dataset export --to columns plays it")
     return opened
 
 

@@ -78,10 +78,7 @@ def _episode(
 
     seen = items.get(f"{name}/observations/state", items[f"{name}/observations"])
     if getattr(seen, "shape", ())[1:] != (6 * task.beads,):
-        raise InvalidInput(
-            f"{path} holds no vertices of the rope, from which loaders make every observation:"
-            " record with observation='state' or 'both'"
-        )
+        raise InvalidInput(f"{path} holds no vertices: record with observation='state' or 'both'")
     key = seen.name.removeprefix(f"/{name}/")
     ropes, goals = np.moveaxis(_read(key).reshape(-1, 2, task.beads, 3).astype(np.float32), 1, 0)
     points, actions = ropes.astype(np.float64), _read("actions").astype(np.float32)

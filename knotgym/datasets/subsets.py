@@ -161,11 +161,8 @@ def split(
     together = _groups(given.shared())
     dealt = _dealt(together, [*shares.values()], Stream.SELECTION.generator(seed, 1))
     if len(set(dealt.tolist())) < len(shares):
-        raise InvalidInput(
-            f"{source} can't be cut into {len(shares)} parts: its {given.size} rows share"
-            f" starts, goals, walks or near-duplicates, which leaves {together.max() + 1}"
-            " separate groups"
-        )
+        many = f"{together.max() + 1} groups of rows that share something"
+        raise InvalidInput(f"{source} can't be cut into {len(shares)} parts: it has {many}")
     names = [f"{whole.stem}-{name}{whole.suffix}" for name in shares]
     for name in names:
         require_file(whole.with_name(name), [given.digested], overwrite)

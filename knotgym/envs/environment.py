@@ -203,10 +203,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             settings.setdefault("horizon", max_episode_steps)
         self.config = TaskConfig.of(task, settings)
         if max_episode_steps not in (None, self.config.horizon):
-            raise InvalidInput(
-                f"max_episode_steps is {max_episode_steps} and horizon {self.config.horizon}, and"
-                " they are the same thing: give one"
-            )
+            raise InvalidInput("max_episode_steps and horizon are the same thing: give one")
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array")
         self.num_envs = num_envs
@@ -235,10 +232,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise InvalidInput(
-                f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape"
-                f" {mask.shape}"
-            )
+            raise InvalidInput(f"reset_mask must be {self.num_envs} booleans, got {mask!r:.80}")
         if isinstance(seed, (int, np.integer)):
             seed = [int(seed) + i for i in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else list(seed)
@@ -266,10 +260,8 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
                 f"actions must have shape {self.action_space.shape}, got {actions.shape}"
             )
         if done.any() and self.autoreset_mode == _MODE(_DISABLED):
-            raise InvalidInput(
-                f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options"
-                " reset_mask) before the next step"
-            )
+            ended = np.flatnonzero(done).tolist()
+            raise InvalidInput(f"episodes {ended} have ended: reset them, by options reset_mask")
         rewards = np.zeros(self.num_envs)
         terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
         running, ended = np.flatnonzero(~done), np.flatnonzero(done)

@@ -174,15 +174,9 @@ class TaskConfig:
         if max(self.crossings) > (most := self.most_nx(self.beads)):
             raise InvalidInput(f"nx must be from 1 to {most} on {self.beads} beads, got {self.nx}")
         if self.split in CODE_SPLITS and min(self.crossings) < 2:
-            raise InvalidInput(
-                f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
-                " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
-            )
+            raise InvalidInput(f"split {self.split!r} needs nx of at least 2, got {self.nx}")
         if self.engine != MUJOCO and self.integrator_steps != 24:
-            raise InvalidInput(
-                f"integrator_steps are steps of MuJoCo, and engine {self.engine!r} chooses its own;"
-                f" leave it at 24, got {self.integrator_steps}"
-            )
+            raise InvalidInput(f"integrator_steps are steps of MuJoCo; {self.engine!r} has 24")
         plain = self.views == ("top",) and not self.depth and self.camera == "orthographic"
         if not APPEARANCES[self.appearance].obeys and not (plain and self.renderer != "mujoco"):
             raise InvalidInput(
@@ -191,8 +185,7 @@ class TaskConfig:
             )
         if self.hold > self.horizon:
             raise InvalidInput(
-                f"hold {self.hold} is longer than the horizon of {self.horizon} steps: no episode"
-                f" could succeed; at most {self.horizon}"
+                f"hold {self.hold} is longer than the horizon of {self.horizon} steps"
             )
 
     @classmethod

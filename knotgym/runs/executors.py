@@ -24,7 +24,7 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
-from knotgym.common import Counts, Failed, InvalidInput, MissingExtra, Threads
+from knotgym.common import Counts, Failed, InvalidInput, MissingExtra, Threads, differences
 from knotgym.rope import CHAIN, MUJOCO, is_compiled, simulation
 from knotgym.runs.identities import versions
 from knotgym.runs.progress import Progress
@@ -196,10 +196,7 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         client = distributed.Client(scheduler, timeout=TIMEOUT, set_as_default=False)
         client.wait_for_workers(1, timeout=TIMEOUT)
     except (OSError, ValueError) as error:
-        raise InvalidInput(
-            f"no Dask scheduler with workers answers at {scheduler}: check the address, or start"
-            " `dask scheduler` and `dask worker`"
-        ) from error
+        raise InvalidInput(f"no Dask scheduler with workers answers at {scheduler}") from error
     try:
         yield _Cluster(client.get_executor(pure=False), len(client.nthreads()))
     except distributed.KilledWorker as error:
@@ -217,10 +214,8 @@ def _call(
     import cv2
 
     if versions() != run:
-        raise InvalidInput(
-            f"a worker of the cluster has other versions than the run, {versions()} and {run}:"
-            " results could differ"
-        )
+        found = next(differences(run, versions()))
+        raise InvalidInput(f"a worker of the cluster has other versions than the run: {found}")
     with _one_at_a_time:
         if os.getcwd() != folder:
             sys.path[:] = filter(None, sys.path)  # "" would import from the run's folder

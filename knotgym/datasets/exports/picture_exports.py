@@ -58,10 +58,7 @@ def to_coco(source: Located, folder: Path, _: Replay) -> str:
         (folder / split).mkdir()
         for number, row in enumerate(rows):
             if "photo" not in row:
-                raise InvalidInput(
-                    f"{source.title} has no masks for COCO; knotgym images --appearance photo makes"
-                    " pictures with masks"
-                )
+                raise InvalidInput(f"{source.title} has no masks for COCO, which photos have")
             name, size = f"{split}/{number:06d}.png", row["appearance"]["size"]
             (folder / name).write_bytes(row["image"])
             facts = {one: row[one] for one in _TOLD}

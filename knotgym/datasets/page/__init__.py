@@ -68,10 +68,7 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
     if given.states is not None:
         found = _states(given.states, notices, about)
         if given.episodes and found["beads"] != data["beads"]:
-            raise InvalidInput(
-                f"{title} has states of {found['beads']} beads and episodes of {data['beads']};"
-                " show one of them"
-            )
+            raise InvalidInput(f"{title} has states and episodes of unlike ropes; show one of them")
         data |= found
     if given.pictures is not None:
         data |= _pictures(given.pictures, notices, about)
