@@ -185,11 +185,9 @@ def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
     Raises:
         InvalidInput: an unknown field, or a value of the wrong type or out of range.
     """
-    nested = {
-        field.name: as_json(field.default)
-        for field in dataclasses.fields(kind)  # type: ignore[arg-type]
-        if dataclasses.is_dataclass(field.default)
-    }
+    every: Any = dataclasses.fields(kind)  # type: ignore[arg-type]
+    inner = [field for field in every if dataclasses.is_dataclass(field.default)]
+    nested = {field.name: as_json(field.default) for field in inner}
     try:
         text = json.dumps(merged(nested, values), default=_jsonable)
     except (TypeError, ValueError) as error:

@@ -189,10 +189,8 @@ class Table(Mapping[str, NDArray[Any]]):
                         sizes.setdefault(word, size)
             expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in wanted)
             if _type_name(found.dtype) != c.dtype or found.shape != expected:
-                raise InvalidInput(
-                    f"column {c.name} is {_type_name(found.dtype)} {found.shape}, should be"
-                    f" {c.dtype} {expected}"
-                )
+                given, right = f"{_type_name(found.dtype)} {found.shape}", f"{c.dtype} {expected}"
+                raise InvalidInput(f"column {c.name} is {given}, should be {right}")
             self._columns[c.name] = found
         self.schema = schema.sized(**sizes).only(*self._columns)
 
@@ -492,11 +490,10 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
     first, *others = (schema.sized(**most) for schema in schemas)
     for other in others:
         for one, found in zip(first.columns, other.columns, strict=True):
-            if (one.dtype, first.shape(one)) != (found.dtype, other.shape(found)):
-                raise InvalidInput(
-                    f"tables to append differ: {one.name} is {one.dtype} {first.shape(one)} in one"
-                    f" and {found.dtype} {other.shape(found)} in another"
-                )
+            kinds = [f"{c.dtype} {own.shape(c)}" for c, own in ((one, first), (found, other))]
+            if kinds[0] != kinds[1]:
+                said = " in one and ".join(kinds)
+                raise InvalidInput(f"tables to append differ: {one.name} is {said} in another")
     return first
 
 

@@ -335,28 +335,26 @@ def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
         drawn = _starts(place.found_task, seeds)
     except KnotgymError:  # the states aren't here, so that all starts stay
         drawn = np.full((len(seeds), 1), np.nan)
-    ends = np.cumsum([part.episodes.rows for part in parts])
-    rows = list[Table]()
+    ends, packed = np.cumsum([part.episodes.rows for part in parts]), list[Episodes]()
     for part, same in zip(parts, np.split(drawn, ends[:-1]), strict=True):
         starts = part.episodes["start_qpos"].copy()
         starts[(starts.view(np.int64) == same.view(np.int64)).all(axis=1)] = 0
-        rows.append(part.episodes.replaced(start_qpos=starts))
+        packed.append(part._replace(episodes=part.episodes.replaced(start_qpos=starts)))
+    forces = [part.steps["force"] for part in parts]
     with np.errstate(invalid="ignore"):  # of forces out of range, which no whole number gives
-        bins = [np.rint(part.steps["force"] * FORCE_BINS).astype(np.int8) for part in parts]
-    whole = all(
-        np.array_equal(
-            _FORCES[one.view(np.uint8)].view(np.int32), part.steps["force"].view(np.int32)
-        )
-        for one, part in zip(bins, parts, strict=True)
-    )
-    steps = [part.steps for part in parts]
-    if whole:
-        names = [name for name in steps[0] if name != "force"]
-        schema = STORED_PULLS.only(*names, "force_bins")
-        steps = [
-            Table(schema, {**one, "force_bins": own}) for one, own in zip(steps, bins, strict=True)
-        ]
-    return [Episodes(*both) for both in zip(rows, steps, strict=True)]
+        bins = [np.rint(force * FORCE_BINS).astype(np.int8) for force in forces]
+    if any(_forces(one).tobytes() != f.tobytes() for one, f in zip(bins, forces, strict=True)):
+        return packed
+    names = [name for name in parts[0].steps if name != "force"]
+    schema = STORED_PULLS.only(*names, "force_bins")
+    return [
+        one._replace(steps=Table(schema, {**one.steps, "force_bins": own}))
+        for one, own in zip(packed, bins, strict=True)
+    ]
+
+
+def _forces(bins: NDArray[np.int8]) -> NDArray[np.float32]:
+    return _FORCES[bins.view(np.uint8)]
 
 
 def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
@@ -377,7 +375,7 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
         own = own.replaced(start_qpos=starts)
     columns = {**steps}
     if "force_bins" in columns:
-        columns["force"] = _FORCES[columns.pop("force_bins").view(np.uint8)]
+        columns["force"] = _forces(columns.pop("force_bins"))
     if "force" not in columns:
         raise InvalidFile(f"{stored.path} has no forces")
     return replace(stored, episodes=Episodes(own, Table(PULLS.only(*columns), columns)))

@@ -158,27 +158,22 @@ def show_episodes(source: Any) -> dict[str, Any]:
 def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield the faults for which nothing else can be checked."""
     rope, (own, steps) = dataset.task.rope_config, dataset.episodes
-    if dataset.attributes.get("rope") != rope.fingerprint:
-        yield (
-            f"{dataset.path}: generated with rope model {dataset.attributes.get('rope')}, this"
-            f" version has {rope.fingerprint}"
-        )
+    if (made_for := dataset.attributes.get("rope")) != rope.fingerprint:
+        yield f"{dataset.path}: rope model {made_for} isn't this version's, {rope.fingerprint}"
     for name, column in [*own.items(), *steps.items()]:
         if column.dtype.kind == "f" and not np.isfinite(column).all():
             yield f"{dataset.path}: {name} contains a number that isn't finite"
     advised = np.abs(steps.get("expert_action", np.zeros(0))).max(initial=0)
-    far = np.abs(steps["force"]).max(initial=0) > 1
+    beads, far = dataset.task.beads, np.abs(steps["force"]).max(initial=0) > 1
+    negative = (own["seed"] < -1).any() or (own["planner_steps"] < 0).any()
+    led = "macro_side" not in steps or _fit_macros(steps, beads)
     wrong = {
         "a pull is of a bead or with a force that doesn't exist": (
-            far or steps["bead"].max(initial=0) >= dataset.task.beads
+            far or steps["bead"].max(initial=0) >= beads
         ),
         "an expert's action lies outside [-1, 1]": advised > 1,
-        "a seed or a number of planned pulls is negative": (
-            (own["seed"] < -1).any() or (own["planner_steps"] < 0).any()
-        ),
-        "a pull isn't one of the macro-action that it belongs to": (
-            "macro_side" in steps and not _fit_macros(steps, dataset.task.beads)
-        ),
+        "a seed or a number of planned pulls is negative": negative,
+        "a pull isn't one of the macro-action that it belongs to": not led,
     }
     yield from (f"{dataset.path}: {fault}" for fault, found in wrong.items() if found)
     missing = (own["goal"] < 0) | (own["start"] < 0)
@@ -212,10 +207,8 @@ def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
     own, steps, first = episodes.episodes, episodes.steps, episodes.offsets[:-1]
     numbers = dataset.numbers.tolist()
     chiral = gauss_codes(steps["visits"], steps["signs"])
-    wanted, shown = (
-        gauss_codes(own["goal_visits"]),
-        label_many(own["goal_points"].astype(np.float64)),
-    )
+    wanted = gauss_codes(own["goal_visits"])
+    shown = label_many(own["goal_points"].astype(np.float64))
     begins = gauss_codes(steps["visits"][first])
     told = Counts.over(episodes.last().tolist(), "codes read again", own.rows)
     for row, last in enumerate(told):

@@ -188,9 +188,8 @@ def write_minari(dataset: EpisodeDataset, data: Path) -> None:
         InvalidFile: the dataset has no metadata.
     """
     with new_hdf5(data / MAIN, libver=("v110", "v110"), meta_block_size=_METADATA_BYTES) as file:
-        told = Counts.over(
-            _minari_episodes(dataset), "writing Minari's form", dataset.episodes.episodes.rows
-        )
+        rows = dataset.episodes.episodes.rows
+        told = Counts.over(_minari_episodes(dataset), "writing Minari's form", rows)
         found = defaultdict[str, Statistics](Statistics)
         for k, (attributes, arrays) in enumerate(told):
             arrays |= _observations(dataset, k)
@@ -256,11 +255,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
     metadata, task = metadata_of(dataset), dataset.task
     if metadata is None:
         raise InvalidFile(f"{dataset.path} has no metadata of a Minari dataset")
-    given = {
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in asdict(metadata).items()
-        if value not in (None, (), {})
-    }
+    given = {n: value for n, value in asdict(metadata).items() if value not in (None, (), {})}
     here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
     lengths = dataset.episodes.episodes["length"]
     return {

@@ -478,13 +478,10 @@ def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
     """
     require_alike(datasets, _facts)
     first = datasets[0]
-    tasks = {name: None for one in datasets for name in one.task.tasks}
+    tasks = dict.fromkeys(name for one in datasets for name in one.task.tasks)
     crossings = sorted({nx for one in datasets for nx in one.task.crossings})
-    joint = replace(
-        first.task,
-        task=tuple(tasks) if len(tasks) > 1 else first.task.task,
-        nx=tuple(crossings) if len(crossings) > 1 else first.task.nx,
-    )
+    all_: dict[str, Any] = {"task": tuple(tasks), "nx": tuple(crossings)}
+    joint = replace(first.task, **{name: own for name, own in all_.items() if len(own) > 1})
     if joint != first.task:  # its environment can be made
         task_sides(replace(joint, states=str(first.states_path())))
     return joint

@@ -260,8 +260,8 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
                 f"actions must have shape {self.action_space.shape}, got {actions.shape}"
             )
         if done.any() and self.autoreset_mode == _MODE(_DISABLED):
-            ended = np.flatnonzero(done).tolist()
-            raise InvalidInput(f"episodes {ended} have ended: reset them, by options reset_mask")
+            over = np.flatnonzero(done).tolist()
+            raise InvalidInput(f"episodes {over} have ended: reset them, by options reset_mask")
         rewards = np.zeros(self.num_envs)
         terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
         running, ended = np.flatnonzero(~done), np.flatnonzero(done)

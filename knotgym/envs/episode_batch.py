@@ -379,10 +379,8 @@ class EpisodeBatch:
             old = ids[self._old_texts[ids]]
             self._old_texts[old] = False
             seen, goals = self.visits[old], self.wanted[old]
-            chiral = CodeArrays(seen, self.signs[old])
-            self._texts[:, old] = [
-                one.texts() for one in (CodeArrays(seen), chiral, CodeArrays(goals))
-            ]
+            codes = CodeArrays(seen), CodeArrays(seen, self.signs[old]), CodeArrays(goals)
+            self._texts[:, old] = [one.texts() for one in codes]
             shown = self._texts[0, ids], self._texts[1, ids], self._texts[2, ids]
         infos = {
             "gauss_code": shown[0],

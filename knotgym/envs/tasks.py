@@ -176,7 +176,7 @@ class TaskConfig:
         if self.split in CODE_SPLITS and min(self.crossings) < 2:
             raise InvalidInput(f"split {self.split!r} needs nx of at least 2, got {self.nx}")
         if self.engine != MUJOCO and self.integrator_steps != 24:
-            raise InvalidInput(f"integrator_steps are steps of MuJoCo; {self.engine!r} has 24")
+            raise InvalidInput(f"integrator_steps are steps of MuJoCo, not of {self.engine!r}")
         plain = self.views == ("top",) and not self.depth and self.camera == "orthographic"
         if not APPEARANCES[self.appearance].obeys and not (plain and self.renderer != "mujoco"):
             raise InvalidInput(

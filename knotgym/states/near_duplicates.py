@@ -244,12 +244,10 @@ def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
     few = points
     if len(points) > MOST:
         few = points[np.linspace(0, len(points) - 1, MOST).round().astype(int)]
-    spectra = Spectra.of(few)
-    turned = spectra.turned_distances(spectra)[np.triu_indices(len(few), 1)]
+    every = Spectra.of(few)
+    turned = every.turned_distances(every)[np.triu_indices(len(few), 1)]
     shapes = [
-        spectra.take(slice(k, k + 1)).pair_distances(
-            spectra.take(slice(k + 1, None)), mirrors=False
-        )
+        every.take(slice(k, k + 1)).pair_distances(every.take(slice(k + 1, None)), mirrors=False)
         for k in range(len(few))
     ]
     centred = points - points.mean(axis=1, keepdims=True)

@@ -9,12 +9,8 @@ from pathlib import Path
 
 from knotgym.common import InvalidFile, MissingFile, require_no_links
 
-SETS = {  # name -> file
-    "readable": "states.h5",
-    "random-walk": "random-walk.h5",
-    "hard-unknots": "hard-unknots.h5",
-    "bench": "bench.h5",
-}
+SETS = {"readable": "states.h5"}  # name -> file
+SETS |= {name: f"{name}.h5" for name in ("random-walk", "hard-unknots", "bench")}
 
 
 def shipped(name: str = "readable") -> Path:

@@ -196,13 +196,7 @@ class States:
         rows = np.flatnonzero((self.nx == nx) & (self.split == base))
         if not by_code or nx < 2:
             return rows
-        train, test = (
-            [
-                canonical(GaussCode.parse(code), Symmetry.DIAGRAM)
-                for code in self.gauss_code[own].tolist()
-            ]
-            for own in (self.rows(nx, "train"), self.rows(nx, "test"))
-        )
+        train, test = (self.diagrams(self.rows(nx, split)) for split in STATE_SPLITS)
         # diagrams of test in the order in which they are held out: absent from train first
         seen = Counter(train)
         rarest = sorted({*test}, key=lambda form: (seen[form], form.visits))
@@ -214,6 +208,11 @@ class States:
         }
         own = train if base == "train" else test
         return rows[[(form in held) == (base == "test") for form in own]]
+
+    def diagrams(self, rows: NDArray[np.int64]) -> list[GaussCode]:
+        """Return the codes of rows up to symmetry, see `topology.canonical`."""
+        codes = map(GaussCode.parse, self.gauss_code[rows].tolist())
+        return [canonical(code, Symmetry.DIAGRAM) for code in codes]
 
     def spread(self, nx: int) -> dict[str, Any]:
         """Measure how diverse the states with nx crossings are, see `near_duplicates.spread_of`."""
@@ -325,10 +324,8 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     merged = Table.joined(tables).take(order)
     twice = repeated(one.tobytes() for one in merged["points"]) if distinct else []
     if twice:
-        raise InvalidFile(
-            f"{len(twice)} states occur twice, first in rows {twice[0][0]} and {twice[0][1]} of the"
-            " merged file; merge sets that share no state"
-        )
+        rows = "rows {} and {}".format(*twice[0])
+        raise InvalidFile(f"{len(twice)} states occur twice, first in {rows} of the merged file")
     found = [part.attributes.get("config", {}) for part in parts]
     configs = [config for one in found for config in (one if isinstance(one, list) else [one])]
     config = configs if len(configs) > 1 else configs[0]

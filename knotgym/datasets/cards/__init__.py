@@ -23,7 +23,7 @@ from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES, Quality
 from knotgym.rendering import APPEARANCES
 from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, nearest, read_states
-from knotgym.topology import GaussCode, Symmetry, canonical
+from knotgym.topology import GaussCode
 
 if TYPE_CHECKING:
     from knotgym.datasets.located import Located
@@ -319,13 +319,13 @@ def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object,
 
 def _overlap(states: States, nx: int) -> tuple[object, ...]:
     train, test = (states.rows(nx, split) for split in STATE_SPLITS)
-    texts = (states.gauss_code[rows].tolist() for rows in (train, test))
-    known, asked = ([*map(GaussCode.parse, own)] for own in texts)
-    forms, other = ([canonical(one, Symmetry.DIAGRAM) for one in own] for own in (asked, known))
+    known, asked = (
+        (states.gauss_code[rows].tolist(), states.diagrams(rows)) for rows in (train, test)
+    )
     every, near = np.flatnonzero(states.split == "train"), "-"
     if len(test) and len(every):
         near = f"{1000 * nearest(states.points[test], states.points[every])[0].min():.1f}"
-    shared = [sum(one in {*seen} for one in own) for own, seen in ((asked, known), (forms, other))]
+    shared = [sum(one in {*seen} for one in own) for own, seen in zip(asked, known, strict=True)]
     return nx, len(test), *shared, near
 
 

@@ -106,21 +106,23 @@ def _part(name: str) -> str:
     return (files("knotgym.datasets.page") / name).read_text(encoding="utf-8")
 
 
-def _sampled(count: int, most: int) -> list[int]:
-    """Choose up to `most` of `count` rows, evenly spaced.
+def _sampled(count: int, most: int, what: str = "", notices: Any = None) -> list[int]:
+    """Choose up to `most` of `count` rows, evenly spaced; add what was left out to the notices.
 
     >>> _sampled(5, 3), _sampled(2, 3)
     ([0, 2, 4], [0, 1])
     """
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    if what and len(rows) < count:
+        notices.append(f"Showing {len(rows)} of {count} {what}, evenly sampled.")
+    return rows
 
 
 def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
     """Collect a state file and the report of the run in the manifest beside it."""
     states = read_states(file, images=False)
     report = read_manifest(file.parent)[0].get("report", {})
-    rows = _sampled(len(states), MOST_STATES)
-    _notice(notices, rows, len(states), "states")
+    rows = _sampled(len(states), MOST_STATES, "states", notices)
     own = states.take(rows)
     known = {name for name, (_, one) in states.measures.items() if np.isfinite(one).any()}
     measures = {name: one for name, one in own.measures.items() if name in known}
@@ -145,8 +147,8 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     labels = ["crossings", *(name for name in ("line", "strands") if name in stored)]
     table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image", *labels])
     each = 4 / 3 * table.nbytes / max(1, len(table))  # base64
-    rows = _sampled(len(table), min(MOST_PICTURES, int(_PICTURE_BYTES / max(1, each))))
-    _notice(notices, rows, len(table), "pictures")
+    most = min(MOST_PICTURES, int(_PICTURE_BYTES / max(1, each)))
+    rows = _sampled(len(table), most, "pictures", notices)
     taken = table.take(rows)
     columns = {name: taken[name].to_pylist() for name in _SHOWN}
     measured = taken["quality"].to_pylist()
@@ -195,11 +197,11 @@ def _episodes(sources: Sequence[Path], notices: list[str], about: dict[str, Any]
     every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
     lengths = np.concatenate([one.episodes.episodes["length"] for one in datasets]).tolist()
     frames = [min(length, MOST_STEPS) + 1 for length in lengths]
-    rows = _sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
+    most = int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1
     # episodes differ in length, so the first guess may be too many
-    while len(rows) > 1 and sum(frames[k] for k in rows) > MOST_FRAMES:
-        rows = _sampled(len(every), len(rows) - 1)
-    _notice(notices, rows, len(every), "episodes")
+    while most > 1 and sum(frames[k] for k in _sampled(len(every), most)) > MOST_FRAMES:
+        most = min(most, len(every)) - 1
+    rows = _sampled(len(every), most, "episodes", notices)
     if any(lengths[k] > MOST_STEPS for k in rows):
         notices.append(f"Longer episodes show their first {MOST_STEPS} steps.")
     about |= {
@@ -275,12 +277,7 @@ def _encoded(points: Array) -> str:
 
 
 def _picture(stored: Mapping[str, bytes]) -> str:
-    return f"data:image/png;base64,{base64.b64encode(stored['bytes']).decode('ascii')}"
-
-
-def _notice(notices: list[str], rows: Sequence[int], count: int, what: str) -> None:
-    if len(rows) < count:
-        notices.append(f"Showing {len(rows)} of {count} {what}, evenly sampled.")
+    return f"data:image/png;base64,{base64.b64encode(stored['bytes']).decode()}"
 
 
 def _number(value: Any) -> float | None:
