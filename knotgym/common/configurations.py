@@ -34,7 +34,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as validated_dataclass
 
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
 
 Config = TypeVar("Config")
 
@@ -188,10 +188,8 @@ def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
     every: Any = dataclasses.fields(kind)  # type: ignore[arg-type]
     inner = [field for field in every if dataclasses.is_dataclass(field.default)]
     nested = {field.name: as_json(field.default) for field in inner}
-    try:
+    with InvalidInput.instead(f"{kind.__name__} is made of JSON values", TypeError, ValueError):
         text = json.dumps(merged(nested, values), default=_jsonable)
-    except (TypeError, ValueError) as error:
-        raise InvalidInput(f"{kind.__name__} is made of JSON values: {one_line(error)}") from None
     try:
         return TypeAdapter(kind).validate_json(text)  # lists become tuples, objects configurations
     except ValidationError as error:
@@ -274,10 +272,8 @@ def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
         text = file.read(most + 1)
     if len(text) > most:
         raise InvalidFile(f"{given} has more than {most} bytes, too many for a JSON file")
-    try:
+    with InvalidFile.instead(f"{given} isn't valid JSON", ValueError, RecursionError):
         return json.loads(text.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(f"{given} isn't valid JSON: {one_line(error)}") from error
 
 
 def differences(there: Any, requested: Any, where: str = "") -> Iterator[str]:

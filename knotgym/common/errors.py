@@ -4,6 +4,8 @@ it is raised.
 
 import importlib
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,15 @@ class KnotgymError(Exception):
 
     The message is one line: what was wrong, what was given, and what was expected.
     """
+
+    @classmethod
+    @contextmanager
+    def instead(cls, said: str, *caught: type[BaseException]) -> Iterator[None]:
+        """Raise this error in place of others, with a sentence and what theirs say."""
+        try:
+            yield
+        except caught as error:
+            raise cls(f"{said}: {one_line(error)}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the finished message, so that unpickling doesn't call the subclass's __init__."""

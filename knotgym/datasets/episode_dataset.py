@@ -215,10 +215,8 @@ def open_episodes(source: Any) -> EpisodeDataset:
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
-    try:
+    with InvalidFile.instead(f"{path} has no valid task", KnotgymError, KeyError, TypeError):
         task = from_json(TaskConfig, attributes["task"])
-    except (KnotgymError, KeyError, TypeError) as error:
-        raise InvalidFile(f"{path} has no valid task: {one_line(error)}") from error
     sized = [schema.sized(beads=task.beads) for schema in schemas]
     (rows, steps), _ = read_tables(path, *sized, format=FORMAT, version=VERSION)
     lengths = rows["length"]

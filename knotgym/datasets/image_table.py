@@ -12,7 +12,7 @@ import os
 import struct
 import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
@@ -28,7 +28,6 @@ from knotgym.common import (
     MissingExtra,
     MissingFile,
     Stream,
-    one_line,
     require_no_links,
     require_regular,
 )
@@ -350,15 +349,11 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         return table
 
 
-@contextmanager
-def _faults_named(path: Path) -> Iterator[None]:
+def _faults_named(path: Path) -> AbstractContextManager[None]:
     """Raise what a damaged shard makes pyarrow raise as InvalidFile that names it."""
     require_regular(path, "Parquet shard", InvalidFile)
     raised = (OSError, KeyError, ValueError, RecursionError, MemoryError, arrow().ArrowException)
-    try:
-        yield
-    except raised as error:
-        raise InvalidFile(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
+    return InvalidFile.instead(f"{path} isn't a whole Parquet shard", *raised)
 
 
 def _named(schema: Any) -> dict[str, Any]:

@@ -236,10 +236,8 @@ def metadata_of(dataset: EpisodeDataset) -> MinariMetadata | None:
     """
     if dataset.metadata is None:
         return None
-    try:
+    with InvalidFile.instead(f"{dataset.path} has invalid metadata", TypeError, ValueError):
         return MinariMetadata(**dataset.metadata)
-    except (TypeError, ValueError) as error:
-        raise InvalidFile(f"{dataset.path} has invalid metadata: {one_line(error)}") from error
 
 
 def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:

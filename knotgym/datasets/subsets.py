@@ -291,10 +291,8 @@ def _of_pictures(path: Path) -> _Rows:
     stored = column_names(shards(path)[0])
     known = columns_among(stored)
     table = read_table(path, columns=[n for n in known if n in stored and known[n] != "image"])
-    try:
+    with InvalidFile.instead(f"{path}: its selection isn't JSON", ValueError):
         earlier = json.loads((table.schema.metadata or {}).get(b"selection", b"[]"))
-    except ValueError as error:
-        raise InvalidFile(f"{path}: its selection isn't JSON: {error}") from error
 
     def _columns() -> dict[str, NDArray[Any]]:
         flat, kinds = table.flatten(), arrow("pyarrow.types")  # a struct becomes source.rope, ...

@@ -120,10 +120,8 @@ class States:
             curves = curves[:, :-1]  # the first vertex again, which makes no bead
         rope, laid = Rope(RopeConfig.of(curves.shape[1])), list[NDArray[np.float64]]()
         for number, curve in enumerate(curves):
-            try:
+            with InvalidInput.instead(f"rope {number}", InvalidInput):
                 laid.append(rope.qpos(rope.from_curve(curve, max_overlap=_OVERLAP)))
-            except InvalidInput as error:
-                raise InvalidInput(f"rope {number}: {error}") from None
         columns = {"qpos": np.array(laid), "points": rope.points(np.array(laid))}
         columns |= _derived(columns, [c.name for c in STATES.columns])
         for number in np.flatnonzero(columns["knot"] == UNKNOWN).tolist():
@@ -269,7 +267,7 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
     from knotgym.rope import Rope, RopeConfig
 
     rope = Rope(RopeConfig.of(table["points"].shape[1]))
-    try:
+    with InvalidFile.instead("a state can't be laid from its vertices", ValueError):
         qpos = rope.qpos(table["points"].astype(np.float64))
         points, count = rope.points(qpos), table.rows
         columns = {
@@ -283,8 +281,6 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
         }
         more = _derived(columns, ["image"]) if images else {}
         return States.of({**columns, **more}, {**attributes, "form": _BY_VERTICES})
-    except ValueError as error:
-        raise InvalidFile(f"a state can't be laid from its vertices: {error}") from error
 
 
 def _derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
@@ -335,7 +331,5 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
 def _widened(table: Table, schema: Schema, number: int) -> Table:
     """Add the columns of a schema that a table, the part of this number, lacks."""
     added = _derived(table, [c.name for c in schema.columns if c.name not in table])
-    try:
+    with InvalidFile.instead(f"state file {number} can't be merged with the others", InvalidInput):
         return Table(schema, {**table, **added}).filled(schema)
-    except InvalidInput as error:
-        raise InvalidFile(f"state file {number} can't be merged with the others: {error}") from None
