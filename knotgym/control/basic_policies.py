@@ -137,19 +137,15 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
     wanted = f"policy {name} must give {size} {numbers} for an episode"
     checked = isinstance(actions, np.ndarray) and actions.dtype == np.float32
     if not (checked and actions.shape[1:] == (size,)):
-        try:
+        with InvalidPolicy.instead(wanted, TypeError, ValueError):
             # one by one, so that a message can show the action that is wrong
             rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]
-        except (TypeError, ValueError) as error:
-            raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
         for row in rows:
             if len(row) != size:
                 raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")
         actions = np.stack(rows)
-    try:
+    with InvalidPolicy.instead(wanted, InvalidInput):
         view.check(actions, np.arange(len(actions)))
-    except InvalidInput as error:
-        raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
     if view.counts is None:
         return np.clip(actions, -1, 1)
     checked_actions: NDArray[np.float32] = actions

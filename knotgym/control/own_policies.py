@@ -195,10 +195,9 @@ def card_of(name: str) -> dict[str, Any] | None:
     module = name.partition(":")[0]
     with user_code(name), _current_folder(module.partition(".")[0]):
         card = getattr(importlib.import_module(module), "CARD", None)
-    try:
+    said = f"policy {name}: its CARD isn't JSON"
+    with InvalidPolicy.instead(said, RecursionError, TypeError, ValueError):
         found: Any = json.loads(json.dumps(card, allow_nan=False))
-    except (RecursionError, TypeError, ValueError) as error:
-        raise InvalidPolicy(f"policy {name}: its CARD isn't JSON: {one_line(error)}") from error
     if not isinstance(found, dict | None):
         raise InvalidPolicy(f"policy {name}: its CARD must be a dictionary")
     return found

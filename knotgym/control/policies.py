@@ -81,13 +81,11 @@ def policy_files(config: PolicyConfig) -> dict[str, Path]:
     Raises:
         InvalidPolicy: a file can't be read.
     """
-    try:
+    with InvalidPolicy.instead(f"policy {config.policy}", OSError):
         files = family_of(config.policy).files(config.policy)
         for path in files.values():
             require_regular(path, "file", InvalidPolicy)
         return {name: Path(files[name]) for name in sorted(files)}
-    except OSError as error:
-        raise InvalidPolicy(f"policy {config.policy}: {one_line(error)}") from error
 
 
 def _rows() -> Iterator[PolicyFamily]:

@@ -64,10 +64,8 @@ def drawn_curve(
     (sine, cosine), (x, y) = sin_cos(turn), curve.T[:2].copy()
     # written out, because `@` rounds by processor
     curve[:, 0], curve[:, 1] = cosine * x - sine * y, sine * x + cosine * y
-    try:
+    with Failed.instead(f"this drawing of {code.chiral!r} is too tight", InvalidInput):
         points = rope.from_curve(curve)
-    except InvalidInput as error:
-        raise Failed(f"this drawing of {code.chiral!r} is too tight: {error}") from error
     if label(points) != code:
         raise Failed(f"this drawing of {code.chiral!r} shows {label(points).chiral!r}")
     return points
