@@ -82,7 +82,7 @@ class Column(NamedTuple):
         refused = self.finite if kind == "f" else self.least is not None and value < self.least
         return None if refused else value
 
-    def require_values(self, values: NDArray[Any]) -> None:
+    def _require_values(self, values: NDArray[Any]) -> None:
         """Raise InvalidInput if text has control characters or numbers are out of range."""
         if self.dtype == "text":
             if not "".join(values.tolist()).isprintable():
@@ -349,7 +349,7 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
     for c in schema.columns:
         values = [_fitted(schema, c, part) for part in parts]
         for one in values:
-            c.require_values(one)
+            c._require_values(one)
         dtype: Any = c.dtype
         if c.dtype == "text":
             values = [np.strings.encode(one, "utf-8") for one in values]
@@ -453,7 +453,7 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
         mapped = np.memmap(Path(path), data.dtype, "r", offset, data.shape)
         values = np.require(np.asarray(mapped), None, "A")
     if _type_name(values.dtype) == column.dtype:
-        column.require_values(values)
+        column._require_values(values)
     return values
 
 

@@ -38,7 +38,7 @@ from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest
 
 FORMAT = "knotgym-images"
 VERSION = 2  # 2: ropes are drawn by distance
-_DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `content_digest`
+_DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `_content_digest`
 _ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
 _LEAST_ROW = 64  # bytes; every row stores more, because it has its own picture
 _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
@@ -123,11 +123,7 @@ class PictureRow(NamedTuple):
 
 def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
     """Render rows as a pyarrow.Table."""
-    records = list[dict[str, Any]]()
-    for row in rows:
-        records.append(record(row, config))
-        Counts.end_item()
-    return table_of(records)
+    return table_of([record(row, config) for row in rows])
 
 
 def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
@@ -135,6 +131,7 @@ def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     source = row.source
     rng = Stream.IMAGE_APPEARANCE.generator(source["seed"], source["row"])
     drawn = Drawer.of(config.name).sampled(row.points, config, rng, row.camera)
+    Counts.end_item()
     return {
         **derived(RopeAtRest(row.points), drawn),
         "points": row.points.ravel().tolist(),
@@ -167,7 +164,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
 def parquet(rows: Any) -> bytes:
     """Return the bytes of a shard of rows, or a pyarrow.Table; the same rows give the same."""
     table = table_of(rows) if isinstance(rows, Sequence) else rows
-    named = {"format": FORMAT, "format_version": VERSION, _DIGEST: content_digest(table)}
+    named = {"format": FORMAT, "format_version": VERSION, _DIGEST: _content_digest(table)}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
     table, sink = table.replace_schema_metadata(metadata), arrow().BufferOutputStream()
     arrow("pyarrow.parquet").write_table(
@@ -238,13 +235,6 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
     return files
 
 
-def is_images(path: str | os.PathLike[str]) -> bool:
-    """Check whether a path is a perception table: a Parquet file, or a folder with some."""
-    given = Path(path)
-    inside = any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
-    return given.suffix == ".parquet" if given.is_file() else inside
-
-
 def read_table(
     path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None
 ) -> Any:
@@ -286,7 +276,12 @@ def rows_of(table: Any) -> Iterator[dict[str, Any]]:
             yield row | {name: row[name]["bytes"] for name in pngs if name in row}
 
 
-def content_digest(table: Any) -> str:
+def is_unchanged(table: Any) -> bool:
+    """Whether the rows that were read from a shard are those that were written."""
+    return bool(_named(table.schema).get(_DIGEST) == _content_digest(table))
+
+
+def _content_digest(table: Any) -> str:
     """Hash rows as lines of JSON, with the SHA-256 of pictures instead of the pictures.
 
     It is `content_sha256` of a shard, and doesn't depend on how Parquet stores the rows.
@@ -322,11 +317,6 @@ def column_names(shard: Path) -> list[str]:
     """
     with _faults_named(shard):
         return [*arrow("pyarrow.parquet").read_schema(shard).names]
-
-
-def digest_of(table: Any) -> str:
-    """Return the `content_sha256` of the shard that a table was read from, "" if it has none."""
-    return str(_named(table.schema).get(_DIGEST, ""))
 
 
 def _read(path: Path, columns: list[str] | None) -> Any:

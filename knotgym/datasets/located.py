@@ -22,7 +22,7 @@ from knotgym.common import (
     require_stored_here,
 )
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
-from knotgym.datasets.image_table import is_images, read_table, shards
+from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest import read_manifest
 from knotgym.datasets.minari_form import dataset_files
 from knotgym.states import minari_root, read_states, resolve, resolve_states
@@ -121,7 +121,8 @@ def locate(named: str) -> Located:
 
 
 def _located(root: Path) -> Located | None:
-    if is_images(root):
+    inside = any(root.glob("*.parquet")) or any(root.glob("data/*.parquet"))
+    if inside or (root.is_file() and root.suffix == ".parquet"):
         return Located(root, pictures=root)
     if root.is_file():
         is_episodes = format_of(root) == FORMAT

@@ -251,6 +251,8 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
     from minari.serialization import serialize_space
 
     metadata, task = metadata_of(dataset), dataset.task
+    split = "test-code" if task.split in CODE_SPLITS else "test"
+    goals = task.max_goals if split == task.split else None  # in another split all
     if metadata is None:
         raise InvalidFile(f"{dataset.path} has no metadata of a Minari dataset")
     given = {n: value for n, value in asdict(metadata).items() if value not in (None, (), {})}
@@ -265,7 +267,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
         "observation_space": _bounds(replace(task, split="train", states=None)),
         "action_space": serialize_space(action_space("pull", task.beads)),
         "env_spec": _environment_spec(task).to_json(),
-        "eval_env_spec": _environment_spec(_evaluated(task)).to_json(),
+        "eval_env_spec": _environment_spec(replace(task, split=split, max_goals=goals)).to_json(),
         "total_episodes": len(lengths),
         "total_steps": int(lengths.sum()),
     }
@@ -448,12 +450,6 @@ def _same_json(found: Any, expected: Any) -> bool:
     """Whether two entries are equal; texts of JSON are compared as what they hold."""
     texts = all(isinstance(one, str) and one[:1] == "{" for one in (found, expected))
     return bool(found == expected or (texts and json.loads(found) == json.loads(expected)))
-
-
-def _evaluated(task: TaskConfig) -> TaskConfig:
-    """Return the evaluation environment's task, of a test split; in another it has all goals."""
-    split = "test-code" if task.split in CODE_SPLITS else "test"
-    return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
 
 
 @lru_cache(maxsize=16)

@@ -38,9 +38,8 @@ from knotgym.datasets.episode_verification import (
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import (
     arrow,
-    content_digest,
     derived,
-    digest_of,
+    is_unchanged,
     marks_base,
     points_of,
     read_table,
@@ -353,7 +352,7 @@ def _shard_faults(path: Path) -> tuple[list[str], Any]:
         except _RAISED as error:
             own = [f"it can't be rendered or measured: {one_line(error)}"]
         faults += [f"{path.name} row {n}: {fault}" for fault in own]
-    if digest_of(table) != content_digest(table):
+    if not is_unchanged(table):
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     try:
         points_of(table)

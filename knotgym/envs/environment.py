@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -18,9 +18,6 @@ from knotgym.common import Failed, InvalidInput, MissingExtra
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import action_space, warn_of_compilation
-
-if TYPE_CHECKING:
-    from gymnasium.vector import AutoresetMode
 
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
@@ -194,7 +191,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         task: str | Sequence[str],
         num_envs: int = 1,
         threads: int = 0,
-        autoreset_mode: str | AutoresetMode = "next_step",
+        autoreset_mode: Any = "next_step",
         render_mode: str | None = "rgb_array",
         max_episode_steps: int | None = None,
         **settings: Any,
@@ -313,7 +310,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         return infos
 
 
-def _autoreset(mode: str | AutoresetMode) -> str | AutoresetMode:
+def _autoreset(mode: Any) -> Any:
     """Return Gymnasium's constant for an autoreset mode."""
     known = {"next_step": _NEXT_STEP, "same_step": _SAME_STEP, "disabled": _DISABLED}
     given = str(getattr(mode, "value", mode))

@@ -19,10 +19,10 @@ DRAWS = 2000  # resamples per bootstrap
 _Z = 1.959963984540054  # normal quantile of a two-sided 95 % interval
 
 
-def wilson(successes: float, trials: float, z: float = _Z) -> tuple[float, float]:
+def _wilson(successes: float, trials: float, z: float = _Z) -> tuple[float, float]:
     """Return Wilson's score interval for a proportion of independent trials, by default at 95 %.
 
-    >>> [round(end, 3) for end in wilson(8, 10)]
+    >>> [round(end, 3) for end in _wilson(8, 10)]
     [0.49, 0.943]
     """
     # The ends solve |p - rate| = z sqrt(p (1 - p) / trials), a quadratic equation in p.
@@ -69,10 +69,10 @@ def cluster_interval(success: Sequence[int], *clusters: ArrayLike) -> tuple[floa
     n, rate = len(outcome), float(outcome.mean())
     if rate in (0.0, 1.0):
         most = max(len(np.unique(np.asarray(labels))) for labels in clusters)
-        return wilson(rate * most, most)
+        return _wilson(rate * most, most)
     variance, freedom = _spread(outcome, clusters, rate * (1 - rate) / n)
     trials = rate * (1 - rate) / variance
-    return wilson(rate * trials, trials, _student(freedom) if freedom else _Z)
+    return _wilson(rate * trials, trials, _student(freedom) if freedom else _Z)
 
 
 class Difference(NamedTuple):
@@ -105,7 +105,7 @@ class Difference(NamedTuple):
         variance = sum(one[0] for one in found)
         if not variance:  # nothing varies; each state then counts as one trial
             most = max(len(np.unique(np.asarray(one))) for _, own in parts for one in own)
-            half, better = wilson(0, most)[1], (1 + np.sign(mean)) / 2
+            half, better = _wilson(0, most)[1], (1 + np.sign(mean)) / 2
         else:
             half = _student(max(1, min(freedom for _, freedom in found))) * math.sqrt(variance)
             better = NormalDist().cdf(mean / math.sqrt(variance))

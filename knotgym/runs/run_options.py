@@ -32,11 +32,11 @@ class Shard:
         return f"{self.number}/{self.of}"
 
     @classmethod
-    def parse(cls, text: str) -> "Shard":
-        """Parse "2/8"; "" means the whole run."""
+    def parse(cls, text: Any) -> Any:
+        """Parse "2/8", where "" means the whole run; return what isn't text as it is."""
+        if not text or not isinstance(text, str):
+            return text or cls()
         words = text.split("/")
-        if not text:
-            return cls()
         if len(words) != 2 or not all(word.isdecimal() and len(word) < 7 for word in words):
             raise InvalidInput(f"a shard is i/n with i from 1 to n, such as 2/8; got {text!r}")
         return cls(*map(int, words))
@@ -60,10 +60,6 @@ class Shard:
 
 
 WHOLE = Shard()
-
-
-def _shard(value: Any) -> Any:
-    return Shard.parse(value) if isinstance(value, str) else value
 
 
 @configuration
@@ -100,7 +96,7 @@ class RunOptions(Existing):
 
     workers: NonNegativeInt = 0
     scheduler: Annotated[str, Mark("typed")] = ""
-    shard: Annotated[Shard, BeforeValidator(_shard)] = Shard()
+    shard: Annotated[Shard, BeforeValidator(Shard.parse)] = Shard()
     quiet: bool = False
 
     def __post_init__(self) -> None:

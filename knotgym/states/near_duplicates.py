@@ -78,7 +78,7 @@ class Spectra(NamedTuple):
         rest = np.sqrt(np.maximum(0.0, beads * square - (lowest**2).sum(axis=1)))
         return cls(flat, upright, square, np.column_stack([lowest, rest]) / beads)
 
-    def least_distances(self, others: Spectra) -> Array:
+    def _least_distances(self, others: Spectra) -> Array:
         """Bound the distance of all pairs from below: float64 (n, len(others)), metres."""
         a, b = np.abs(self.flat), np.abs(others.flat)
         # Parseval: a sum over beads is the sum over frequencies / beads, and its modulus is at most
@@ -143,7 +143,7 @@ def pairs_within(
     for first in range(0, len(points), _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, len(points)))
         # one matrix product a block rules out nearly all pairs; the rest is computed exactly
-        near = a.take(rows).least_distances(b) < limit
+        near = a.take(rows)._least_distances(b) < limit
         if others is None:
             near &= np.arange(len(points)) > rows[:, None]
         some, columns = np.nonzero(near)
@@ -172,7 +172,7 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
         Distances, float64 (n,), metres, and rows of others, int64 (n,).
     """
     a, b = Spectra.of(points), Spectra.of(others)
-    least = a.least_distances(b)
+    least = a._least_distances(b)
     distance, row = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for k, bounds in enumerate(least):
         # in order of rising bound; stop when no remaining bound is below the best distance

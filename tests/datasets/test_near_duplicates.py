@@ -59,7 +59,7 @@ def test_the_distance_is_the_least_over_every_symmetry(mirrors: bool) -> None:
 
 def test_no_distance_is_below_its_bound() -> None:
     spectra = Spectra.of(STATES)
-    bounds = spectra.least_distances(spectra)
+    bounds = spectra._least_distances(spectra)
     for k in range(len(STATES)):
         exact = spectra.take(np.full(len(STATES), k)).pair_distances(spectra)
         assert (bounds[k] <= exact + 1e-6).all()

@@ -17,7 +17,7 @@ import knotgym.datasets.page as data_module
 from knotgym.common import InvalidInput
 from knotgym.datasets import open_episodes
 from knotgym.datasets.located import Located
-from knotgym.datasets.page import page_data, page_html
+from knotgym.datasets.page import _page_data, _page_html
 from knotgym.states import States, write_states
 
 HOSTILE = "</script><img src=http://a/ onerror=fault()>"
@@ -53,7 +53,7 @@ def hostile(states: States) -> States:
 
 @pytest.fixture(scope="module")
 def shown(states_path: str) -> dict[str, Any]:
-    return page_data("run", Located(Path(), Path(states_path), (TINY["expert"],)))
+    return _page_data("run", Located(Path(), Path(states_path), (TINY["expert"],)))
 
 
 def test_a_page_holds_all_states_and_episodes_as_in_the_columns(
@@ -86,16 +86,16 @@ def test_crossings_of_a_page_spell_the_code(shown: dict[str, Any]) -> None:
 def test_nothing_in_a_file_becomes_markup(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", hostile(states))
     harmful = written(tmp_path / "e.h5", episodes([2], policy=HOSTILE), TASK)
-    plain = Tags(page_html(page_data("plain", Located(tmp_path, tmp_path / "s.h5"))))
-    marked = Tags(page_html(page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))))
-    played = Tags(page_html(page_data("plain", Located(tmp_path, episodes=(harmful,)))))
+    plain = Tags(_page_html(_page_data("plain", Located(tmp_path, tmp_path / "s.h5"))))
+    marked = Tags(_page_html(_page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))))
+    played = Tags(_page_html(_page_data("plain", Located(tmp_path, episodes=(harmful,)))))
     assert marked.names == plain.names == played.names
     assert json.loads(marked.data)["states"][0]["knot"] == HOSTILE
     assert json.loads(played.data)["episodes"][0]["policy"] == HOSTILE
 
 
 def test_a_page_names_no_address(shown: dict[str, Any]) -> None:
-    text = page_html(shown)
+    text = _page_html(shown)
     assert Tags(text).links == ["data:,"] and "default-src 'none'" in text
     assert re.findall(r"https?:|url\(|@import|\bfetch\(|XMLHttp|innerHTML|eval\(", text) == []
 
@@ -117,7 +117,7 @@ def test_a_large_set_is_sampled_and_says_so(
     monkeypatch.setattr(data_module, "MOST_STATES", 3)
     monkeypatch.setattr(data_module, "MOST_FRAMES", 7)
     monkeypatch.setattr(data_module, "MOST_STEPS", 2)
-    data = page_data("run", Located(Path(), Path(states_path), tuple(TINY.values())))
+    data = _page_data("run", Located(Path(), Path(states_path), tuple(TINY.values())))
     assert len(data["states"]) == 3
     assert sum(len(one["code"]) for one in data["episodes"]) <= 7
     notices = " ".join(data["notices"])
@@ -127,4 +127,4 @@ def test_a_large_set_is_sampled_and_says_so(
 def test_a_file_without_rows_has_no_page(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", states.take(np.arange(0)))
     with pytest.raises(InvalidInput, match="nothing to show"):
-        page_data("empty", Located(tmp_path, tmp_path / "s.h5"))
+        _page_data("empty", Located(tmp_path, tmp_path / "s.h5"))

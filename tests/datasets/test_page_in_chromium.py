@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from knotgym.datasets.located import Located
-from knotgym.datasets.page import page_data, page_html
+from knotgym.datasets.page import _page_data, _page_html
 from knotgym.states import States, write_states
 
 from .. import chromium
@@ -156,7 +156,7 @@ def test_markup_in_a_file_is_text_in_the_browser(
 ) -> None:
     write_states(tmp_path / "s.h5", hostile(states))
     (tmp_path / "p.html").write_text(
-        page_html(page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))), encoding="utf-8"
+        _page_html(_page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))), encoding="utf-8"
     )
     tab.open(tmp_path / "p.html", "#states/3")
     assert tab.ask("document.querySelectorAll('img').length") == 0

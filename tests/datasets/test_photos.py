@@ -16,7 +16,7 @@ from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.exports import export
 from knotgym.datasets.image_table import decode, drawn_table, parquet, read_rows
 from knotgym.datasets.located import Located
-from knotgym.datasets.page import page_data, page_html
+from knotgym.datasets.page import _page_data, _page_html
 from knotgym.datasets.row_verification import _picture_faults, _redrawn
 from knotgym.rendering import AppearanceConfig, Drawer
 from knotgym.states import read_states, shipped
@@ -91,7 +91,7 @@ def test_croissant_describes_every_factor_of_a_photo(
 
 
 def test_a_page_has_the_labels_of_each_photo(folder: Path, rows: list[dict[str, Any]]) -> None:
-    data = page_data("photos", Located(folder, pictures=folder))
+    data = _page_data("photos", Located(folder, pictures=folder))
     assert data["called"] == "pictures" and data["says"] == "3 pictures"
     for shown, row in zip(data["states"], rows, strict=True):
         assert len(shown["at"]) == len(shown["x"]) == row["nx"]
@@ -102,7 +102,7 @@ def test_a_page_has_the_labels_of_each_photo(folder: Path, rows: list[dict[str, 
             here = before + part * (line[(int(over) + 1) % len(line)] - before)
             assert np.hypot(*(here - (x, y))) < 2
         assert base64.b64decode(shown["masks"].partition(",")[2]) == row["strands"]
-    assert "drawPicture" in page_html(data)
+    assert "drawPicture" in _page_html(data)
 
 
 def test_coco_has_a_mask_for_each_strand_and_keypoints_for_each_crossing(

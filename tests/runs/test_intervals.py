@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from knotgym.runs.intervals import cluster_interval, wilson
+from knotgym.runs.intervals import _wilson, cluster_interval
 
 STARTS, GOALS, EPISODES = 20, 9, 256  # of a cell of the benchmark whose goals are plain loops
 
@@ -19,7 +19,7 @@ STARTS, GOALS, EPISODES = 20, 9, 256  # of a cell of the benchmark whose goals a
 def test_wilson_s_interval_is_the_textbook_s(
     successes: int, trials: int, low: float, high: float
 ) -> None:
-    assert wilson(successes, trials) == pytest.approx((low, high), abs=1e-4)
+    assert _wilson(successes, trials) == pytest.approx((low, high), abs=1e-4)
 
 
 def drawn(
@@ -48,22 +48,22 @@ def test_states_that_decide_all_make_it_far_wider_than_wilson_s() -> None:
     starts = [number % 20 for number in range(240)]
     success = [int(start < 5) for start in starts]
     low, high = cluster_interval(success, starts, list(range(240)))
-    narrow = wilson(sum(success), len(success))
+    narrow = _wilson(sum(success), len(success))
     assert high - low > 3 * (narrow[1] - narrow[0])
 
 
 @pytest.mark.parametrize("outcome", [0, 1])
 def test_a_cell_without_a_difference_counts_states_and_not_episodes(outcome: int) -> None:
     starts, goals = ([number % count for number in range(240)] for count in (20, 8))
-    assert cluster_interval([outcome] * 240, starts, goals) == wilson(20 * outcome, 20)
+    assert cluster_interval([outcome] * 240, starts, goals) == _wilson(20 * outcome, 20)
 
 
 def test_a_side_of_one_state_adds_nothing_and_one_episode_has_an_interval() -> None:
     success, starts, _ = drawn(np.random.default_rng(0), 1.0)
     low, high = cluster_interval(success, starts, [0] * len(starts))
     assert math.isfinite(low) and low < np.mean(success) < high
-    assert cluster_interval([1], [3], [4]) == wilson(1, 1)
-    assert cluster_interval([0, 1], [3, 3], [4, 4]) == wilson(1, 2)
+    assert cluster_interval([1], [3], [4]) == _wilson(1, 1)
+    assert cluster_interval([0, 1], [3, 3], [4, 4]) == _wilson(1, 2)
 
 
 def test_trainings_that_differ_make_it_wider() -> None:

@@ -114,7 +114,7 @@ class CardTable(NamedTuple):
     says: str = ""
     left: Sequence[str] = ()
 
-    def markdown(self) -> str:
+    def _markdown(self) -> str:
         """Return the explanation of the columns, and the table; "" without rows."""
         if not self.rows:
             return ""
@@ -286,7 +286,7 @@ def finish(
 
 def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
-    found = {name: one.markdown() for name, one in _state_tables(states, report).items()}
+    found = {name: one._markdown() for name, one in _state_tables(states, report).items()}
     lacking = ", ".join(_code_span(code or "loop") for code in report.get("undemonstrated", []))
     return filled_template(
         "state_card.md",
@@ -375,7 +375,7 @@ def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, An
         code_share=f"{config['code_share']:g}",
         held=_MARKED if marks_base(rows) else _UNMARKED,
         test_nx=", ".join(map(str, config["test_nx"] or ())) or "none",
-        **{name: one.markdown() for name, one in _image_tables(folder).items()},
+        **{name: one._markdown() for name, one in _image_tables(folder).items()},
         ropes=report["ropes"],
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),

@@ -43,12 +43,12 @@ _SCRIPTS = ("rope.js", "plots.js", "page.js")
 
 def write_page(path: Path, found: Located) -> str:
     """Write the page of datasets; return a one-line summary."""
-    data = page_data(found.title, found)
-    path.write_text(page_html(data), encoding="utf-8")
+    data = _page_data(found.title, found)
+    path.write_text(_page_html(data), encoding="utf-8")
     return " ".join([f"{data['says']}, {path.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
-def page_data(title: str, given: Located) -> dict[str, Any]:
+def _page_data(title: str, given: Located) -> dict[str, Any]:
     """Collect everything that the page of datasets shows; the result can be written as JSON.
 
     The manifest of a run beside its states is shown too.
@@ -81,8 +81,8 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
     return {**data, "says": ", ".join(contents)}
 
 
-def page_html(data: Mapping[str, Any]) -> str:
-    """Return the page of the result of `page_data`."""
+def _page_html(data: Mapping[str, Any]) -> str:
+    """Return the page of the result of `_page_data`."""
     script = "\n".join(_part(name) for name in _SCRIPTS)
     start = 'const DATA = JSON.parse(document.getElementById("data").textContent);'
     return Template(_part("page.html")).substitute(
