@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import InvalidInput
 from knotgym.envs import EpisodeBatch, KnotEnv, Observer, Situation, TaskConfig
 
+Info = dict[str, Any]
 _SYMBOLS = Observer.SYMBOLS
 _TASKS = 5  # number of evaluation goals, as in OGBench
 
@@ -133,9 +134,7 @@ class OGBenchEnv(KnotEnv):
             for k, (start, goal) in enumerate(zip(starts, goals, strict=True), 1)
         ]
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
         """Start an episode; options as in `KnotEnv`, and `task_id`, 1 to 5, and `render_goal`."""
         options = dict(options or {})
         task_id, render_goal = options.pop("task_id", None), options.pop("render_goal", False)
@@ -149,7 +148,7 @@ class OGBenchEnv(KnotEnv):
             info["goal_rendered"] = _halves(self.episodes.rgb(0))[1]
         return rope, info
 
-    def _seen(self) -> tuple[NDArray[Any], dict[str, Any]]:
+    def _seen(self) -> tuple[NDArray[Any], Info]:
         both, info = super()._seen()
         rope, goal = _halves(both)
         return rope, {**info, "goal_row": info["goal"], "goal": goal, "success": info["is_success"]}

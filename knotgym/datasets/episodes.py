@@ -29,6 +29,8 @@ from knotgym.envs import TaskConfig
 from knotgym.rope import TowBound
 from knotgym.topology import CodeArrays, GaussCode
 
+Ids = NDArray[np.int64]
+
 
 def _of(what: str, *columns: Column) -> tuple[Column, ...]:
     """Return columns of a "state" or of a "pull"; the last state of an episode has no pull."""
@@ -110,7 +112,7 @@ class Shown(NamedTuple):
     observation: NDArray[np.float64]
     visits: NDArray[np.int16]
     signs: NDArray[np.int8]
-    crossings: NDArray[np.int64]
+    crossings: Ids
 
     def columns(self, schema: Schema) -> dict[str, NDArray[Any]]:
         """Return the columns of states of a schema by name.
@@ -140,7 +142,7 @@ class Episodes(NamedTuple):
     steps: Table
 
     @property
-    def offsets(self) -> NDArray[np.int64]:
+    def offsets(self) -> Ids:
         """First row of steps of each episode, then their number: int64 (n + 1,)."""
         return np.concatenate([[0], np.cumsum(self.episodes["length"] + 1)])
 
@@ -160,11 +162,11 @@ class Episodes(NamedTuple):
         pulls = [name for name in _names(PULLS) if name in self.steps]
         return Episodes(self.episodes.only(*_names(RECORDED)), self.steps.only(*pulls))
 
-    def last(self) -> NDArray[np.int64]:
+    def last(self) -> Ids:
         """Return the row of steps of each episode's last state: int64 (n,)."""
         return self.offsets[1:] - 1
 
-    def episode_of(self) -> NDArray[np.int64]:
+    def episode_of(self) -> Ids:
         """Return the episode of each row of steps: int64 (rows,)."""
         return np.repeat(np.arange(self.episodes.rows), self.episodes["length"] + 1)
 
@@ -182,7 +184,7 @@ class Episodes(NamedTuple):
         return {"visits": 2 * max(1, crossings), "labels": max(1, crossings)}
 
     @staticmethod
-    def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
+    def ranges(first: ArrayLike, lengths: ArrayLike) -> Ids:
         """Concatenate the ranges of so many whole numbers from each first one on.
 
         >>> Episodes.ranges([5, 0], [2, 3]).tolist()
@@ -204,9 +206,7 @@ class Episodes(NamedTuple):
         return cls(*tables)
 
     @classmethod
-    def to_repeat(
-        cls, lengths: NDArray[np.int64], pulls: Mapping[str, NDArray[Any]], policy: str
-    ) -> "Episodes":
+    def to_repeat(cls, lengths: Ids, pulls: Mapping[str, NDArray[Any]], policy: str) -> "Episodes":
         """Return episodes of so many pulls each, to be played; `pulls` returns these again.
 
         Args:
@@ -246,7 +246,7 @@ class Episodes(NamedTuple):
         return {name: len(np.unique(rows, axis=0)) for name, rows in both.items()}
 
     def differences(
-        self, other: "Episodes", numbers: Sequence[int] | NDArray[np.int64] | None = None
+        self, other: "Episodes", numbers: Sequence[int] | Ids | None = None
     ) -> list[str]:
         """Say in which episode, step and column another set differs in any bit.
 
@@ -279,7 +279,7 @@ class Episodes(NamedTuple):
                 found.append((k, step, f"episode {called[k]}, step {step}: {name} differs"))
         return [text for *_, text in sorted(found)]
 
-    def codes_held(self, tow_limit: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def codes_held(self, tow_limit: float | None) -> tuple[Ids, Ids]:
         """Number the code of each state, and count for how many steps it has been shown.
 
         Returns:
@@ -304,7 +304,7 @@ class Episodes(NamedTuple):
 
     def goals_reached(
         self, hold: int = 1, tow_limit: float | None = None, relabel: str = "all"
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    ) -> tuple[Ids, Ids]:
         """Find the steps at which an episode has shown a new code for `hold` consecutive states.
 
         The start's own code doesn't count, and each other code counts once, at its first such step.
@@ -387,7 +387,7 @@ def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
     return [Episodes(*(_widened(table, sizes) for table in one)) for one in sets]
 
 
-def _code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
+def _code_ids(visits: NDArray[np.int16]) -> Ids:
     """Number distinct codes: equal rows of (n, width) have equal numbers from 0, int64 (n,)."""
     rows = np.ascontiguousarray(visits)
     if not len(rows):
@@ -423,7 +423,7 @@ def _widened(table: Table, sizes: dict[str, int]) -> Table:
     return Table(table.schema.sized(**sizes), {**table, **own})
 
 
-def _differing(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.int64]:
+def _differing(a: NDArray[Any], b: NDArray[Any]) -> Ids:
     """Return the rows that differ in any bit; all of them if the shapes differ."""
     if a.shape != b.shape:
         return np.arange(min(1, max(len(a), len(b))))

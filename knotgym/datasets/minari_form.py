@@ -61,6 +61,7 @@ from knotgym.envs import TaskConfig
 from knotgym.rope import action_space
 from knotgym.states import CODE_SPLITS, minari_root
 
+Arrays = dict[str, NDArray[Any]]
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
 METADATA = "metadata.json"
 # columns of steps that Minari's form has under other names
@@ -302,9 +303,7 @@ def dataset_files(data: Path) -> list[Path]:
     return [data / name for name in named if os.path.lexists(data / name)]
 
 
-def _minari_episodes(
-    dataset: EpisodeDataset,
-) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
+def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], Arrays]]:
     """Yield each episode's attributes and its arrays by path, except the observations."""
     (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
     failed = np.zeros(steps.rows, dtype=bool)
@@ -352,7 +351,7 @@ def _minari_episodes(
         yield attributes, own_pulls | {f"infos/{n}": array[states] for n, array in infos.items()}
 
 
-def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
+def _observations(dataset: EpisodeDataset, k: int) -> Arrays:
     """Return an episode's observations by path."""
     from knotgym.envs import Observer  # needs OpenCV
 
@@ -392,9 +391,7 @@ def _different(stored: h5py.File, right: h5py.File) -> Iterator[str]:
 # the same look-ups and checks, which take longer than writing.
 
 
-def _write_group(
-    file: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
-) -> None:
+def _write_group(file: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Arrays) -> None:
     """Write a group with attributes and arrays, whose paths have one slash at most."""
     whole = h5g.create(file.id, name.encode(), gcpl=_GROUP)
     for own, value in sorted(attributes.items()):

@@ -145,9 +145,7 @@ def folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
             yield from _demonstration_faults(states, name, open_episodes(file))
 
 
-def _demonstration_faults(
-    states: States, name: str, demonstrations: EpisodeDataset
-) -> Iterator[str]:
+def _demonstration_faults(states: States, name: str, played: EpisodeDataset) -> Iterator[str]:
     """Yield the rows that name an episode of the dataset `name` that doesn't lead to them.
 
     The episode must end in the row's code, with the row as its goal.
@@ -155,7 +153,7 @@ def _demonstration_faults(
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
         return
-    (own, steps), first = demonstrations.episodes, demonstrations.episodes.offsets
+    (own, steps), first = played.episodes, played.episodes.offsets
     for row in np.flatnonzero(source["dataset"] == name).tolist():
         k, step = int(source["trajectory"][row]), int(source["step"][row])
         if not 0 <= k < own.rows or not 0 <= step <= own["length"][k]:
@@ -164,8 +162,8 @@ def _demonstration_faults(
             fault = f"doesn't lead to its code: its state {step} shows another"
         elif not np.array_equal(own["goal_points"][k], states.points[row].astype(np.float32)):
             fault = "has another goal"
-        elif demonstrations.task.split != states.split[row]:
-            fault = f"is of the {demonstrations.task.split} split, the row of the other"
+        elif played.task.split != states.split[row]:
+            fault = f"is of the {played.task.split} split, the row of the other"
         else:
             continue
         yield f"states.h5 row {row}: episode {k} of {name} {fault}"

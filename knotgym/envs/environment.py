@@ -19,6 +19,7 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import action_space, warn_of_compilation
 
+Info = dict[str, Any]
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
 _MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # Gymnasium before 1.1 has no such class
@@ -74,16 +75,14 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         self.observation_space = self.episodes.space
         self.action_space = action_space(self.config.action, self.config.beads)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
         """Start a new episode; options `start` and `goal` choose rows of the state file."""
         super().reset(seed=seed)
         self.episodes.begin(np.array([0]), [self.np_random], options)
         self._show()
         return self._seen()
 
-    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, Info]:
         """Take one action.
 
         Raises:
@@ -106,7 +105,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         if self._window is not None:
             self._window.close()
 
-    def _seen(self) -> tuple[Any, dict[str, Any]]:
+    def _seen(self) -> tuple[Any, Info]:
         """Return what `reset` and `step` show: the observation and `info`."""
         return self.episodes.observation(0), self.episodes.info_rows(np.array([0]))[0]
 
@@ -220,11 +219,8 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         return self.num_envs
 
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[Any, dict[str, Any]]:
+        self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
+    ) -> tuple[Any, Info]:
         """Start new episodes; options as in `KnotEnv`, and `reset_mask`, bool (num_envs,)."""
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
@@ -247,7 +243,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
 
     def step(
         self, actions: NDArray[Any]
-    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Take one action with every rope; `autoreset_mode` says when ended episodes restart."""
         _require_reset(self.episodes)
         done = self._done.copy()
@@ -271,7 +267,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         elif restart is not None:
             restart()
         self._done = terminated | truncated
-        final: dict[str, Any] = {}
+        final: Info = {}
         if self.autoreset_mode == _MODE(_SAME_STEP) and self._done.any():
             ended = np.flatnonzero(self._done)
             last = np.full(self.num_envs, None, dtype=object)
@@ -290,15 +286,15 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             return None
         return tuple(self.episodes.rgb(i) for i in range(self.num_envs))
 
-    def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:
+    def _begin(self, ids: NDArray[np.int64], options: Info | None = None) -> None:
         self.episodes.begin(ids, [self._rngs[i] for i in ids], options)
 
-    def _infos(self, ids: NDArray[np.int64]) -> dict[str, Any]:
+    def _infos(self, ids: NDArray[np.int64]) -> Info:
         """Return the infos of the ropes `ids` as Gymnasium does: arrays over all ropes, and masks.
 
         The others have 0 or None.
         """
-        infos: dict[str, Any] = {}
+        infos: Info = {}
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[ids] = True
         for name, column in self.episodes.infos(ids).items():

@@ -23,6 +23,8 @@ from knotgym.topology import CodeArrays, GaussCode
 
 Ids = NDArray[np.int64]
 Seed = int | np.random.Generator
+Options = Mapping[str, Any] | None
+Meanwhile = Callable[[], None] | None
 
 # Arrays with a row per rope that describe its episode; `copy_from` copies them.
 _STATE = (
@@ -119,9 +121,7 @@ class EpisodeBatch:
         codes = {*states.gauss_code[self.rows[side]].tolist()}
         return [_parsed(str(code)) for code in sorted(codes)]
 
-    def begin(
-        self, ids: Ids, seeds: Sequence[Seed], options: Mapping[str, Any] | None = None
-    ) -> None:
+    def begin(self, ids: Ids, seeds: Sequence[Seed], options: Options = None) -> None:
         """Begin episodes as `env.reset(seed=...)` does: draw starts and goals, lay the ropes.
 
         Args:
@@ -131,9 +131,7 @@ class EpisodeBatch:
         if len(ids):
             self.restore(ids, self.drawn(seeds, options))
 
-    def drawn(
-        self, seeds: Sequence[Seed], options: Mapping[str, Any] | None = None
-    ) -> dict[str, NDArray[Any]]:
+    def drawn(self, seeds: Sequence[Seed], options: Options = None) -> dict[str, NDArray[Any]]:
         """Draw starts and goals; return the columns of `restore` without laying a rope.
 
         Many at once take a fraction of the time of as many one by one, and start the same.
@@ -230,11 +228,7 @@ class EpisodeBatch:
     # acting
 
     def pull(
-        self,
-        ids: Ids,
-        beads: NDArray[np.int64],
-        forces: NDArray[np.floating],
-        meanwhile: Callable[[], None] | None = None,
+        self, ids: Ids, beads: Ids, forces: NDArray[np.floating], meanwhile: Meanwhile = None
     ) -> Outcome:
         """Pull a bead of each rope; if a simulation blows up, its rope stays as it was.
 
@@ -265,9 +259,7 @@ class EpisodeBatch:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
         return Situation.reached(self.held[ids], self.hold[ids], self.failed[ids])
 
-    def act(
-        self, actions: ArrayLike, ids: Ids, meanwhile: Callable[[], None] | None = None
-    ) -> Outcome:
+    def act(self, actions: ArrayLike, ids: Ids, meanwhile: Meanwhile = None) -> Outcome:
         """Take one action of the task's view in each episode of `ids`, with all of its pulls.
 
         The other arguments are those of `pull`.

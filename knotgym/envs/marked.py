@@ -33,6 +33,7 @@ from knotgym.topology import GaussCode, find_crossings
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Tokens = NDArray[np.int16]
+Visits = tuple[int, ...]
 
 TOKENS = 24  # visits of a code in the observation, two per crossing; longer codes are cut off
 _FRAME = 13  # numbers that describe the frame: axes 9, centre 3, reverse 1
@@ -247,9 +248,7 @@ def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_])
 
 
 @lru_cache(maxsize=100_000)
-def _canonical_image(
-    goal: tuple[int, ...], code: tuple[int, ...]
-) -> tuple[bool, bool, Tokens, Tokens]:
+def _canonical_image(goal: Visits, code: Visits) -> tuple[bool, bool, Tokens, Tokens]:
     """Return whether to reverse and to switch, and the tokens of the goal and of the code then."""
     images = []
     for reverse in (False, True):
@@ -263,7 +262,7 @@ def _canonical_image(
     return best[2], best[3], _tokens(best[0]), _tokens(best[1])
 
 
-def _tokens(visits: tuple[int, ...]) -> Tokens:
+def _tokens(visits: Visits) -> Tokens:
     """Return the tokens of a code, int16 (TOKENS, 2).
 
     >>> _tokens((1, -1))[:3].tolist()

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Stream
 
+Floats = NDArray[np.float64]
 DRAWS = 2000  # resamples per bootstrap
 _Z = 1.959963984540054  # normal quantile of a two-sided 95 % interval
 
@@ -112,9 +113,7 @@ class Difference(NamedTuple):
         return cls(mean, max(-1.0, mean - half), min(1.0, mean + half), float(better))
 
 
-def _spread(
-    values: NDArray[np.float64], clusters: Sequence[ArrayLike], within: float
-) -> tuple[float, int]:
+def _spread(values: Floats, clusters: Sequence[ArrayLike], within: float) -> tuple[float, int]:
     """Return the variance of the mean of values, and its degrees of freedom.
 
     Args:
@@ -132,9 +131,7 @@ def _spread(
     return variance, min((count - 1 for count in counts if count > 1), default=0)
 
 
-def _variance(
-    outcome: NDArray[np.float64], clusters: NDArray[np.int64], rng: np.random.Generator
-) -> float:
+def _variance(outcome: Floats, clusters: NDArray[np.int64], rng: np.random.Generator) -> float:
     """Return the variance of the mean outcome when clusters are resampled; 0 for one cluster."""
     sizes = np.bincount(clusters).astype(np.float64)
     count = len(sizes)
