@@ -28,6 +28,7 @@ from knotgym.common import (
     from_json,
     one_line,
 )
+from knotgym.datasets import image_table
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import (
     Replay,
@@ -36,16 +37,6 @@ from knotgym.datasets.episode_verification import (
     verify_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import (
-    arrow,
-    derived,
-    is_unchanged,
-    marks_base,
-    points_of,
-    read_table,
-    rows_of,
-    shards,
-)
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
@@ -316,18 +307,18 @@ def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
         each: `map` or a pool's, for shards; results keep the order.
     """
     folder = Path(path)
-    arrow()
+    image_table.arrow()
     if folder.is_dir():
         manifest, faults = read_manifest(folder)
         yield from [*faults, *listed_faults(folder, manifest)]
-    files = shards(path)
+    files = image_table.shards(path)
     parts, told = list[Any](), each(_shard_faults, files)
     for faults, part in Counts.over(told, "files of pictures", len(files)):
         yield from faults
         parts += [] if part is None else [part]
     if len(parts) < len(files):  # a fault already
         return
-    if len(table := arrow().concat_tables(parts)):
+    if len(table := image_table.arrow().concat_tables(parts)):
         yield from _split_faults(table)
     else:
         yield f"{folder.name} has no rows"
@@ -341,19 +332,19 @@ def _shard_faults(path: Path) -> tuple[list[str], Any]:
     """
     faults = list[str]()
     try:
-        table = read_table(path)
+        table = image_table.read_table(path)
     except (InvalidFile, MissingFile) as error:
         return [str(error)], None
-    for n, row in enumerate(rows_of(table)):
+    for n, row in enumerate(image_table.rows_of(table)):
         try:
             own = list(_picture_faults(row))
         except _RAISED as error:
             own = [f"it can't be rendered or measured: {one_line(error)}"]
         faults += [f"{path.name} row {n}: {fault}" for fault in own]
-    if not is_unchanged(table):
+    if not image_table.is_unchanged(table):
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     try:
-        points_of(table)
+        image_table.points_of(table)
     except InvalidFile:
         return faults, None
     return faults, table.select(_SHARED)
@@ -379,7 +370,9 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
             return
     points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
     whole = {**row, "points": points}
-    yield from row_faults(whole, Rope(), lambda own: derived(own, _redrawn(own.points, row)))
+    yield from row_faults(
+        whole, Rope(), lambda own: image_table.derived(own, _redrawn(own.points, row))
+    )
     if (colours := row["appearance"]["colours"]) not in _COLOURS:
         yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:
@@ -395,9 +388,9 @@ def _split_faults(table: Any) -> Iterator[str]:
     numbers = [source["row"] for source in sources]
     # the ropes of several seeds have the same numbers
     ropes = [(source["seed"], source["rope"]) for source in sources]
-    yield from shared_faults(points_of(table), split, ropes, numbers)
+    yield from shared_faults(image_table.points_of(table), split, ropes, numbers)
     # codes of test-nx have more crossings than any other split's, so they aren't compared
-    marked = marks_base(table)
+    marked = image_table.marks_base(table)
     held, seen = (
         {held_form(code, marked=marked) for code in set(codes[np.isin(split, names)].tolist())}
         for names in (("test-code",), ("train", "test"))

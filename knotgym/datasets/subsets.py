@@ -32,6 +32,7 @@ from knotgym.common import (
     require_output,
     sha256,
 )
+from knotgym.datasets import image_table
 from knotgym.datasets.episode_dataset import (
     STATES_DIGEST,
     EpisodeDataset,
@@ -40,15 +41,6 @@ from knotgym.datasets.episode_dataset import (
     write_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import (
-    arrow,
-    column_names,
-    columns_among,
-    parquet,
-    points_of,
-    read_table,
-    shards,
-)
 from knotgym.datasets.located import locate, require_file
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.envs import TaskConfig, task_sides
@@ -288,14 +280,19 @@ def _of_states(path: Path) -> _Rows:
 
 
 def _of_pictures(path: Path) -> _Rows:
-    stored = column_names(shards(path)[0])
-    known = columns_among(stored)
-    table = read_table(path, columns=[n for n in known if n in stored and known[n] != "image"])
+    stored = image_table.column_names(image_table.shards(path)[0])
+    known = image_table.columns_among(stored)
+    table = image_table.read_table(
+        path, columns=[n for n in known if n in stored and known[n] != "image"]
+    )
     with InvalidFile.instead(f"{path}: its selection isn't JSON", ValueError):
         earlier = json.loads((table.schema.metadata or {}).get(b"selection", b"[]"))
 
     def _columns() -> dict[str, NDArray[Any]]:
-        flat, kinds = table.flatten(), arrow("pyarrow.types")  # a struct becomes source.rope, ...
+        flat, kinds = (
+            table.flatten(),
+            image_table.arrow("pyarrow.types"),
+        )  # a struct becomes source.rope, ...
         return {
             name: np.array(values.to_pylist())
             for name, values in zip(flat.column_names, flat.columns, strict=True)
@@ -305,14 +302,14 @@ def _of_pictures(path: Path) -> _Rows:
     def _shared() -> Ids:
         own = _columns()
         ropes = np.stack([own["source.seed"], own["source.rope"]], axis=1)
-        return _families_and_ropes(points_of(table), ropes)
+        return _families_and_ropes(image_table.points_of(table), ropes)
 
     def _write(rows: Ids, made: list[Any], out: Path) -> None:
-        taken = read_table(path).take(rows)
+        taken = image_table.read_table(path).take(rows)
         metadata = {**(taken.schema.metadata or {}), b"selection": json.dumps(made)}
-        out.write_bytes(parquet(taken.replace_schema_metadata(metadata)))
+        out.write_bytes(image_table.parquet(taken.replace_schema_metadata(metadata)))
 
-    return _Rows(table, shards(path)[0], len(table), earlier, _columns, _shared, _write)
+    return _Rows(table, image_table.shards(path)[0], len(table), earlier, _columns, _shared, _write)
 
 
 def _of_episodes(path: Path) -> _Rows:

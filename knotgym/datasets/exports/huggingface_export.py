@@ -23,15 +23,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common import Column, Counts, InvalidInput, Schema, Table
-from knotgym.datasets.cards import (
-    citation_file,
-    filled_template,
-    in_words,
-    plain,
-    table,
-    write_text,
-    yaml_string,
-)
+from knotgym.datasets import cards
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay, show_episodes
@@ -90,7 +82,7 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
         raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
     tiles = episode_tiles(source.episodes) if states is None else state_tiles(states)
     write_gallery(folder / "gallery.png", tiles)
-    write_text(folder / "CITATION.cff", citation_file(source.title))
+    cards.write_text(folder / "CITATION.cff", cards.citation_file(source.title))
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
     engines = [one.task.engine for one in datasets]
     engines += [] if states is None else [states.engine]
@@ -101,7 +93,7 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     )
     if datasets:
         pages["steps"] = f"{_facts(datasets)}\n\n{pages['steps']}"
-    write_text(folder / "README.md", _card(source.title, engines, description, rows, pages))
+    cards.write_text(folder / "README.md", _card(source.title, engines, description, rows, pages))
     write_croissant(folder, source.title, description)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     return f"{size / 1e6:.1f} MB to upload"
@@ -111,11 +103,11 @@ def _facts(datasets: Sequence[EpisodeDataset]) -> str:
     """Return what `dataset show` says of episodes, a column for each dataset, in Markdown."""
     every = [show_episodes(one) for one in datasets]
     rows = [
-        (name, *(plain(in_words(one[name])) for one in every))
+        (name, *(cards.plain(cards.in_words(one[name])) for one in every))
         for name in every[0]
-        if name not in _OF_FILES and any(in_words(one[name]) for one in every)
+        if name not in _OF_FILES and any(cards.in_words(one[name]) for one in every)
     ]
-    return "\n".join(table(("", *(plain(one.name) for one in datasets)), rows))
+    return "\n".join(cards.table(("", *(cards.plain(one.name) for one in datasets)), rows))
 
 
 def _tables(
@@ -151,16 +143,16 @@ def _card(
         configs += ["  data_files:"]
         for split in splits:
             configs.append(f"  - split: {split}\n    path: data/{config}/{split}-*.parquet")
-        tables += ["", f"## {config}", "", *table(("split", "rows"), splits.items()), ""]
+        tables += ["", f"## {config}", "", *cards.table(("split", "rows"), splits.items()), ""]
         tables.append(pages[config])
     total = sum(map(sum, (splits.values() for splits in rows.values())))
-    return filled_template(
+    return cards.filled_template(
         "huggingface_card.md",
-        pretty_name=yaml_string(title),
+        pretty_name=cards.yaml_string(title),
         size=next((name for most, name in _SIZES if total < most), "1M<n<10M"),
         configs=configs,
         engines=", ".join(dict.fromkeys(engines)),
-        title=plain(title),
+        title=cards.plain(title),
         description=description,
         gallery="![pictures of the rope](gallery.png)",
         first=next(iter(rows)),
@@ -211,13 +203,13 @@ def _write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
     parquet, writer, rows, page = arrow("pyarrow.parquet"), None, 0, ""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        for table in tables:
-            made = _arrow_table(table)
+        for part in tables:
+            made = _arrow_table(part)
             if writer is None:
                 writer = parquet.ParquetWriter(path, made.schema, compression="zstd")
-                page = table.schema.page()
+                page = part.schema.page()
             writer.write_table(made, row_group_size=1000)
-            rows += table.rows
+            rows += part.rows
     finally:
         if writer is not None:
             writer.close()
@@ -229,10 +221,10 @@ def _encoded(picture: NDArray[np.uint8]) -> bytes:
     return encode(picture, _PNG_LEVEL)
 
 
-def _arrow_table(table: Table) -> Any:
+def _arrow_table(given: Table) -> Any:
     """Convert a table; its metadata say where Hugging Face finds pictures."""
     pa, columns = arrow(), dict[str, Any]()
-    for name, values in table.items():
+    for name, values in given.items():
         flat = np.ascontiguousarray(values).reshape(len(values), -1)
         if name == "image":
             column = picture_column(map(_encoded, values))
