@@ -16,16 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    Counts,
-    InvalidFile,
-    KnotgymError,
-    MissingFile,
-    Stream,
-    Table,
-    as_json,
-    one_line,
-)
+from knotgym.common import Counts, InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, digests_of, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
@@ -79,7 +70,7 @@ def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
     return replace(dataset, episodes=whole)
 
 
-def verify_episodes(source: Any, replay: Replay, *, sample: int = 0) -> Iterator[str]:
+def episode_faults(source: Any, replay: Replay, *, sample: int = 0) -> Iterator[str]:
     """Verify a file of episodes or a Minari dataset; without other faults, its run's seeds, too.
 
     Args:
@@ -94,14 +85,14 @@ def verify_episodes(source: Any, replay: Replay, *, sample: int = 0) -> Iterator
         MissingFile: there is no such file.
     """
     clean = True
-    for fault in _episode_faults(source, replay, sample):
+    for fault in _faults(source, replay, sample):
         clean = False
         yield fault
     if clean:
         yield from _start_faults(open_episodes(source).drawn(sample))
 
 
-def _episode_faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
+def _faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
     try:
         dataset = open_episodes(source)
     except MissingFile:
@@ -166,7 +157,7 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     advised = np.abs(steps.get("expert_action", np.zeros(0))).max(initial=0)
     beads, far = dataset.task.beads, np.abs(steps["force"]).max(initial=0) > 1
     negative = (own["seed"] < -1).any() or (own["planner_steps"] < 0).any()
-    led = "macro_side" not in steps or _fit_macros(steps, beads)
+    led = "macro_side" not in steps or _fit_macros(dataset)
     wrong = {
         "a pull is of a bead or with a force that doesn't exist": (
             far or steps["bead"].max(initial=0) >= beads
@@ -182,8 +173,9 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     yield from _digest_faults(dataset)
 
 
-def _fit_macros(steps: Table, beads: int) -> bool:
+def _fit_macros(dataset: EpisodeDataset) -> bool:
     """Whether each pull is of the bead that its macro-action leads, or of no macro-action."""
+    steps, beads = dataset.episodes.steps, dataset.task.beads
     side, bead, target = (steps[f"macro_{name}"] for name in ("side", "bead", "target"))
     led = (bead == steps["bead"]) & (target < beads) & (abs(side) == 1)
     alone = ~steps["macro_start"] & (bead == 0) & (target == 0)

@@ -24,7 +24,7 @@ from knotgym.common import (
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest import read_manifest
-from knotgym.datasets.minari_form import dataset_files
+from knotgym.datasets.minari_form import data_files
 from knotgym.states import minari_root, read_states, resolve, resolve_states
 
 _LIMIT = 60.0  # seconds
@@ -69,7 +69,7 @@ class Located(NamedTuple):
         files += [self.states] if self.states else []
         for one in self.episodes:
             data = episode_file(one)
-            files += dataset_files(data.parent) if one.is_dir() else [data]
+            files += data_files(data.parent) if one.is_dir() else [data]
         return files
 
     def counts(self, sample: int = 0) -> Counter[str]:

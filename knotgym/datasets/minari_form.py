@@ -297,7 +297,7 @@ def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -
     return [ours, f"# Minari's own files: knotgym dataset export {named} --to minari --out FOLDER"]
 
 
-def dataset_files(data: Path) -> list[Path]:
+def data_files(data: Path) -> list[Path]:
     """List the files in a dataset's `data` folder that belong to it, ignoring any others."""
     named = (FILE, MAIN, METADATA, STATES_FILE)
     return [data / name for name in named if os.path.lexists(data / name)]

@@ -19,28 +19,22 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    Table,
-    from_json,
-    one_line,
-    read_json,
-    require_stored_here,
-)
+from knotgym.common import InvalidFile, Table, from_json, read_json, require_stored_here
 from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, Shown
 from knotgym.envs import TaskConfig
-from knotgym.rope import nearest_beads
+from knotgym.rope import Rope, nearest_beads
+from knotgym.topology import CodeArrays
 
 
 def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
     """Read the episodes of a file `main_data.hdf5`, and the task that its environment had.
 
     Raises:
-        InvalidInput: the observations have no vertices, or the actions aren't pulls.
-        InvalidFile: it was recorded in another environment, or is damaged.
+        InvalidFile: it was recorded in another environment or without vertices, its actions aren't
+            pulls, or it is damaged.
     """
-    try:
+    # there is no end to what foreign bytes make h5py and NumPy raise
+    with InvalidFile.instead(f"{path} can't be loaded", Exception):
         metadata = read_json(path.with_name("metadata.json"))
         spec = json.loads(metadata["env_spec"])
         known = {one.name for one in fields(TaskConfig)}
@@ -49,28 +43,20 @@ def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
             raise InvalidFile(f"it was recorded in {spec['id']}, no environment of knotgym")
         task = from_json(TaskConfig, keywords)
         if task.action != "pull":
-            raise InvalidInput(f"{path} holds actions of view {task.action!r}, record 'pull'")
+            raise InvalidFile(f"it holds actions of view {task.action!r}, record 'pull'")
         with h5py.File(path, "r", locking=False) as file:
             items: dict[str, Any] = {}
             file.visititems(items.__setitem__)  # follows no links but hard ones
             names = takewhile(lambda name: name in items, (f"episode_{k}" for k in count()))
             policy = str(metadata.get("algorithm_name", "unknown"))
-            parts = [_episode(items, name, task, policy, path) for name in names]
-    except InvalidInput:
-        raise
-    except Exception as error:  # there is no end to what foreign bytes make h5py and NumPy raise
-        raise InvalidFile(f"{path} can't be loaded: {one_line(error)}") from error
+            parts = [_episode(items, name, task, policy) for name in names]
     every = Episodes.merged(parts)
     reached = np.logical_or.reduceat(every.goal_reached(task), every.offsets[:-1])
     return every._replace(episodes=every.episodes.replaced(success=reached)), task
 
 
-def _episode(
-    items: Mapping[str, Any], name: str, task: TaskConfig, policy: str, path: Path
-) -> Episodes:
+def _episode(items: Mapping[str, Any], name: str, task: TaskConfig, policy: str) -> Episodes:
     """Read one episode of T pulls."""
-    from knotgym.rope import Rope
-    from knotgym.topology import CodeArrays
 
     def _read(key: str) -> NDArray[Any]:
         require_stored_here(items[f"{name}/{key}"], key)
@@ -78,13 +64,13 @@ def _episode(
 
     seen = items.get(f"{name}/observations/state", items[f"{name}/observations"])
     if getattr(seen, "shape", ())[1:] != (6 * task.beads,):
-        raise InvalidInput(f"{path} holds no vertices: record with observation='state' or 'both'")
+        raise InvalidFile("it holds no vertices: record with observation='state' or 'both'")
     key = seen.name.removeprefix(f"/{name}/")
     ropes, goals = np.moveaxis(_read(key).reshape(-1, 2, task.beads, 3).astype(np.float32), 1, 0)
     points, actions = ropes.astype(np.float64), _read("actions").astype(np.float32)
     sides, rope = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=2), task.rope_config
     if not (np.abs(sides - rope.bead_length) < 2 * rope.radius).all():
-        raise InvalidInput(f"{path} holds observations that a wrapper changed: record vertices")
+        raise InvalidFile("it holds observations that a wrapper changed: record vertices")
     pulls = len(points) - 1
     terminated = _read("terminations")
     truncated = _read("truncations") & ~terminated

@@ -30,12 +30,7 @@ from knotgym.common import (
 )
 from knotgym.datasets import image_table
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
-from knotgym.datasets.episode_verification import (
-    Replay,
-    ReplayFault,
-    shared_faults,
-    verify_episodes,
-)
+from knotgym.datasets.episode_verification import Replay, ReplayFault, episode_faults, shared_faults
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import listed_faults, read_manifest
@@ -129,7 +124,7 @@ def folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
         return
     yield from state_faults(states)
     for file in sorted(folder.glob(f"minari/**/{FILE}")):
-        own = [*verify_episodes(file, replay)]
+        own = [*episode_faults(file, replay)]
         yield from own
         if not own:
             name = file.relative_to(folder / "minari").parents[1].as_posix()
@@ -423,7 +418,7 @@ def faults(found: Located, replay: Replay, each: Map = map, sample: int = 0) -> 
     elif found.states:
         own = state_faults(read_states(found.states))
     else:
-        verified = partial(verify_episodes, replay=replay, sample=sample)
+        verified = partial(episode_faults, replay=replay, sample=sample)
         own = chain.from_iterable(map(verified, found.episodes))
     kinds = set[type]()
     for fault in own:

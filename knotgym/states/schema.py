@@ -3,7 +3,7 @@
 A row is made, read, merged, verified, selected and shown by this schema alone. A column is derived
 if it follows from how the rope lies: the writer computes it, a reader computes the
 required ones that a file lacks, and `verify` computes all of them again. The file's attributes are
-ATTRIBUTES and DIGEST.
+ATTRIBUTES and `state_file.DIGEST`.
 
 After a change run `python docs/schemas.py` and `pytest tests/states`.
 """
@@ -30,7 +30,6 @@ ATTRIBUTES = {
     "engine": "the engine that moved the ropes, mujoco if not given; see `knotgym.rope.engines`",
     "config": "the generating configuration, JSON; a list of them in a merged file",
 }
-DIGEST = "content_sha256"  # attribute: `common.tables.digest` of the file's table
 
 
 class RopeAtRest:

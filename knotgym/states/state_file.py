@@ -16,30 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import knotgym
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    Schema,
-    Table,
-    format_of,
-    read_tables,
-    write_tables,
-)
+from knotgym.common import InvalidFile, InvalidInput, Table, format_of, read_tables, write_tables
 from knotgym.rope import MUJOCO
 from knotgym.states.near_duplicates import repeated, spread_of
 from knotgym.states.resolving import resolve_states
-from knotgym.states.schema import (
-    ATTRIBUTES,
-    DIGEST,
-    FORMAT,
-    STATES,
-    VERTICES,
-    VERTICES_FORMAT,
-    RopeAtRest,
-)
+from knotgym.states.schema import ATTRIBUTES, FORMAT, STATES, VERTICES, VERTICES_FORMAT, RopeAtRest
 from knotgym.states.sources import STATE_SPLITS
 from knotgym.topology import UNKNOWN, GaussCode, Symmetry, canonical, same_spot
 
+DIGEST = "content_sha256"  # attribute: `Table.digest` of the file's table
 _BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
 _OF_EPISODES = ("dataset", "trajectory", "drawing")  # of `source`; most rows have none of them
 _OVERLAP = 0.003  # metres; strands that push against each other in the simulator overlap less
@@ -315,7 +300,13 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
             raise InvalidFile(f"states to merge must have one {what}, got {kind} and {other}")
     names = dict.fromkeys(name for part in parts for name in part.table)
     schema = STATES.only(*names)
-    tables = [_widened(part.table, schema, number) for number, part in enumerate(parts, 1)]
+    tables = list[Table]()
+    for number, part in enumerate(parts, 1):
+        missing = [c.name for c in schema.columns if c.name not in part.table]
+        columns = {**part.table, **_derived(part.table, missing)}
+        said = f"state file {number} can't be merged with the others"
+        with InvalidFile.instead(said, InvalidInput):
+            tables.append(Table(schema, columns).filled(schema))
     order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
     merged = Table.joined(tables).take(order)
     twice = repeated(one.tobytes() for one in merged["points"]) if distinct else []
@@ -326,10 +317,3 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     configs = [config for one in found for config in (one if isinstance(one, list) else [one])]
     config = configs if len(configs) > 1 else configs[0]
     return States(merged, {**parts[0].attributes, "config": config})
-
-
-def _widened(table: Table, schema: Schema, number: int) -> Table:
-    """Add the columns of a schema that a table, the part of this number, lacks."""
-    added = _derived(table, [c.name for c in schema.columns if c.name not in table])
-    with InvalidFile.instead(f"state file {number} can't be merged with the others", InvalidInput):
-        return Table(schema, {**table, **added}).filled(schema)

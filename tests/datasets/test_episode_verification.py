@@ -13,7 +13,7 @@ from knotgym.common import Table
 from knotgym.control import replay
 from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.datasets.episode_verification import episode_faults
 from knotgym.datasets.episodes import EPISODES, STEPS, gauss_codes
 
 
@@ -70,7 +70,7 @@ def test_a_changed_column_is_a_fault(
         values[0] = value
     harmed = good.episodes._replace(**{name: table.replaced(**{column: values})})
     write_episodes(tmp_path / "h.h5", [harmed], good.task)
-    assert [*verify_episodes(tmp_path / "h.h5", lambda episodes, task: good.episodes)]
+    assert [*episode_faults(tmp_path / "h.h5", lambda episodes, task: good.episodes)]
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_every_stored_column_is_recomputed_or_under_a_digest(
     advised_steps = Table(STEPS.sized(**dict(steps.schema.sizes)), advised)
     labelled = good.episodes._replace(steps=advised_steps)
     write_episodes(tmp_path / "h.h5", [labelled], good.task)
-    assert not [*verify_episodes(tmp_path / "h.h5", lambda episodes, task: labelled)]
+    assert not [*episode_faults(tmp_path / "h.h5", lambda episodes, task: labelled)]
     with h5py.File(tmp_path / "h.h5", "r+") as file:
         values = file[column][:]
         if values.dtype.kind in "OS":
@@ -93,17 +93,17 @@ def test_every_stored_column_is_recomputed_or_under_a_digest(
         else:
             values.view(np.uint8).flat[0] ^= 1
         file[column][...] = values
-    assert [*verify_episodes(tmp_path / "h.h5", lambda episodes, task: labelled)]
+    assert [*episode_faults(tmp_path / "h.h5", lambda episodes, task: labelled)]
 
 
 def test_an_episode_twice_or_a_damaged_file_is_one_fault(
     tmp_path: Path, good: EpisodeDataset
 ) -> None:
     write_episodes(tmp_path / "h.h5", [good.episodes.select([0, 1, 0])], good.task)
-    faults = [*verify_episodes(tmp_path / "h.h5", replay)]
+    faults = [*episode_faults(tmp_path / "h.h5", replay)]
     assert [fault for fault in faults if "episode 2: the same as episode 0" in fault]
     (tmp_path / "h.h5").write_bytes(TINY["expert"].read_bytes()[:4000])
-    assert len([*verify_episodes(tmp_path / "h.h5", replay)]) == 1
+    assert len([*episode_faults(tmp_path / "h.h5", replay)]) == 1
 
 
 def test_a_summary_says_how_many_situations_the_episodes_are(good: EpisodeDataset) -> None:

@@ -71,7 +71,7 @@ def test_what_is_not_there_is_named(folder: Path) -> None:
     with h5py.File(folder / "main_data.hdf5", "r+") as file:
         del file["episode_0/observations"]
         file["episode_0/observations"] = np.zeros((5, 128, 256, 3), np.uint8)
-    with pytest.raises(InvalidInput, match="no vertices: record with observation='state' or"):
+    with pytest.raises(InvalidFile, match="no vertices: record with observation='state' or"):
         arrays(NAME)
     spec = json.loads(metadata["env_spec"]) | {"id": "CartPole-v1"}
     (folder / "metadata.json").write_text(json.dumps({**metadata, "env_spec": json.dumps(spec)}))

@@ -15,8 +15,8 @@ from knotgym.common import InvalidFile, InvalidInput, Table
 from knotgym.generate import judge
 from knotgym.quality import Limits
 from knotgym.states.resolving import SETS, shipped
-from knotgym.states.schema import ATTRIBUTES, DIGEST, STATES
-from knotgym.states.state_file import States, merge_states, read_states, write_states
+from knotgym.states.schema import ATTRIBUTES, STATES
+from knotgym.states.state_file import DIGEST, States, merge_states, read_states, write_states
 from knotgym.topology import GaussCode, Symmetry, canonical
 
 

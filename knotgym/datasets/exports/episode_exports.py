@@ -39,13 +39,7 @@ from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.gallery import episode_tiles, write_gallery
 from knotgym.datasets.located import Located
-from knotgym.datasets.minari_form import (
-    METADATA,
-    copy_file,
-    dataset_files,
-    metadata_of,
-    write_minari,
-)
+from knotgym.datasets.minari_form import METADATA, copy_file, data_files, metadata_of, write_minari
 
 _HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
 _TENTH = 10  # every tenth episode is for validation
@@ -83,7 +77,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
     repository = root / words.pop()
     for name, data in Counts.over(sources.items(), "copying datasets", len(sources)):
         (root / name / "data").mkdir(parents=True)
-        for file in dataset_files(data):
+        for file in data_files(data):
             copy_file(file, root / name / "data" / file.name)
         if not (data / METADATA).is_file():
             write_minari(columns_of(root / name), root / name / "data")
