@@ -469,7 +469,7 @@ def require_stored_here(data: h5py.Dataset, name: str) -> None:
     size = data.dtype.itemsize * max(prod(data.shape), chunk)
     stored = min(data.id.get_storage_size(), os.path.getsize(data.file.filename))
     if size > _SMALL + _MOST_EXPANDED * stored:
-        raise InvalidInput(f"column {name} declares {size} bytes, too many for {stored} stored")
+        raise InvalidInput(f"column {name} declares {size} bytes and stores {stored}")
 
 
 def _shared_schema(tables: Sequence[Table]) -> Schema:

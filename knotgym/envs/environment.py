@@ -199,7 +199,8 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
             settings.setdefault("horizon", max_episode_steps)
         self.config = TaskConfig.of(task, settings)
         if max_episode_steps not in (None, self.config.horizon):
-            raise InvalidInput("max_episode_steps and horizon are the same thing: give one")
+            given = f"max_episode_steps is {max_episode_steps} and horizon {self.config.horizon}"
+            raise InvalidInput(f"{given}, and they are the same thing: give one")
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array")
         self.num_envs = num_envs

@@ -49,7 +49,7 @@ class Identity(dict[str, Any]):
     def require_unchanged(self) -> None:
         """Raise InvalidInput if a file has changed since."""
         if found := list(differences(self.get("source") or {}, _digests(self.files), "source")):
-            raise InvalidInput(f"a source changed during the run; nothing is written: {found[0]}")
+            raise InvalidInput(f"a source changed, so nothing is written: {found[0]}")
 
 
 def identity(

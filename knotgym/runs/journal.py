@@ -204,7 +204,7 @@ def _lock(file: IO[bytes], path: Path, kind: int) -> None:
     except BlockingIOError as error:
         raise Occupied(f"another run is writing to {path} now") from error
     except OSError as error:
-        raise Occupied(f"{path} has a file system without locks; choose another --out") from error
+        raise Occupied(f"{path} can't be locked ({error.strerror}); use another --out") from error
 
 
 def _opened(path: Path, flags: int, mode: str) -> IO[bytes]:
