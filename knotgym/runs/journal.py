@@ -187,7 +187,7 @@ def has_work(path: Path) -> bool:
     """
     try:
         file = _opened(path / _RUN, os.O_RDONLY, "rb")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return False
     with file:
         _lock(file, path, fcntl.LOCK_SH)
