@@ -3,7 +3,6 @@
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from PIL import Image
@@ -49,16 +48,6 @@ def test_show_and_verify_take_an_id_or_a_path_and_say_what_they_found(
 ) -> None:
     assert knotgym("dataset", command, str(source).format(root=collected)) == 0
     assert said in capfd.readouterr().out
-
-
-def test_verify_names_each_fault_with_status_1(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    copy = shutil.copy(TINY["random"], tmp_path)
-    with h5py.File(copy, "a") as file:
-        file["episodes/planner_steps"][0] = -1
-    assert knotgym("dataset", "verify", copy, "--quiet") == 1
-    assert capfd.readouterr().out.startswith("fault: ")
 
 
 @pytest.mark.parametrize("source", [ID, STATES])

@@ -43,7 +43,7 @@ def refused(command: str, path: Path, capfd: pytest.CaptureFixture[str]) -> str:
     assert ended.value.code == (1 if command == "verify" else 2)
     assert {*path.parent.iterdir()} == before and "Traceback" not in said.out + said.err
     lines = (said.out if command == "verify" else said.err).splitlines()
-    assert command == "verify" or len(lines) == 1
+    assert lines[0].startswith("fault: ") if command == "verify" else len(lines) == 1
     return lines[0]
 
 
