@@ -10,7 +10,7 @@ may differ.
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import count, islice
 from typing import Any, NamedTuple
@@ -76,6 +76,8 @@ class WantedCodes:
             base point.
         existing: number of codes that show the knot; None if unknown.
         wanted: number of states to make.
+        have: states that there are, by index of their code.
+        given_up: codes that no more are made of.
     """
 
     def __init__(self, config: GenerateConfig, nx: int) -> None:
@@ -92,7 +94,7 @@ class WantedCodes:
         self._drawn: dict[GaussCode, None] = {}
         self._rng = Stream.DRAWING_CODES.generator(config.seed, nx)
         self._order: list[int] | None = None
-        self.wanted = config.count
+        self.wanted, self.have, self.given_up = config.count, Counter[int](), set[int]()
         if self.listed is None:
             return
         if not self.listed:
@@ -104,18 +106,18 @@ class WantedCodes:
         if config.every_code:
             self.wanted = len(self._order)
 
-    def lacking(self, have: Counter[int], given_up: Collection[int]) -> Counter[int]:
+    def lacking(self) -> Counter[int]:
         """Count the states still to be made, by index of their code.
 
         A code that is given up keeps the states it has, and later codes take its other places.
         """
         chosen = Counter[int]()
         order: Iterator[int] = count() if self._order is None else iter(self._order)
-        fitting = (one for one in order if one not in given_up or chosen[one] < have[one])
+        fitting = (k for k in order if k not in self.given_up or chosen[k] < self.have[k])
         # counted while `fitting` is followed, since it looks at the counts so far
         for index in islice(fitting, self.wanted):
             chosen[index] += 1
-        return chosen - have
+        return chosen - self.have
 
     def __getitem__(self, index: int) -> GaussCode:
         if self.listed is not None:
@@ -173,25 +175,21 @@ def drawn_rows(
         Failed: states are missing, although all drawings have been made.
     """
     codes = {nx: WantedCodes(config, nx) for nx in config.nx}
-    selection, have = Selection(apart_from), {nx: Counter[int]() for nx in config.nx}
+    selection = Selection(apart_from)
     # by nx and index; `made_before`: drawings until a code's last state was kept
     made, reserved, made_before = (Counter[tuple[int, int]]() for _ in range(3))
-    given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
     kept = defaultdict[tuple[int, int], list[NDArray[np.float64]]](list)
-    while True:
+    while needed := {
+        (nx, index): lacking for nx, of in codes.items() for index, lacking in of.lacking().items()
+    }:
         orders = list[_Order]()
-        needed = {
-            (nx, index): lacking
-            for nx in config.nx
-            for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items()
-        }
         parts = [
             (one, min(_COPIES, lacking - done))
             for one, lacking in needed.items()
             for done in range(0, lacking, _COPIES)
         ]
         # later rounds are of few codes, so several calls share the drawings of each
-        sharing = max(1, CALLS // len(parts)) if parts and made else 1
+        sharing = max(1, CALLS // len(parts)) if made else 1
         for (nx, index), wanted in (one for one in parts for _ in range(sharing)):
             # Numbers of drawings are reserved before they are made, so the same drawing never goes
             # to two calls.
@@ -199,8 +197,6 @@ def drawn_rows(
             there = np.array(kept[nx, index])
             orders.append(_Order(codes[nx][index], index, first, most, wanted, there))
             reserved[nx, index] += most
-        if not orders:
-            break
         size = min(_CODES, -(-len(orders) // CALLS))
         # Keys name the drawings: with more `attempts` codes are given up later, so calls come in
         # another order.
@@ -219,22 +215,22 @@ def drawn_rows(
                 if not needed[nx, index]:
                     continue
                 if selection.offer(rows, row, lenient=drawing >= UNLIKE_DRAWINGS):
-                    have[nx][index] += 1
+                    codes[nx].have[index] += 1
                     needed[nx, index] -= 1
                     made_before[nx, index] = made[nx, index]
                     kept[nx, index].append(rows["points"][row])
         for (nx, index), lacking in needed.items():
             if made[nx, index] - made_before[nx, index] >= config.attempts * lacking > 0:
-                given_up[nx].add(index)
+                codes[nx].given_up.add(index)
     report.update(
         existing_codes={str(nx): of.existing for nx, of in codes.items()},
         attempts=made.total(),
         rejected=selection.reasons(config.nx),
         passed_over={
-            str(nx): [str(codes[nx][index]) for index in sorted(given_up[nx])] for nx in config.nx
+            str(nx): [str(of[index]) for index in sorted(of.given_up)] for nx, of in codes.items()
         },
     )
-    missing = {nx: codes[nx].wanted - have[nx].total() for nx in config.nx}
+    missing = {nx: of.wanted - of.have.total() for nx, of in codes.items()}
     if any(missing.values()):
         listed = ", ".join(f"{count} with nx = {nx}" for nx, count in missing.items() if count)
         raise Failed(f"missing states: {listed}; give --resume with a larger --set attempts=N")
