@@ -43,8 +43,7 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
         size = (4 * first.width, 4 * first.height)
         first.resize(size, Image.Resampling.NEAREST).save(folder / "reset.png")
         progress.stage("drawing the film and the page")
-        frames = [frame for row in range(2) for frame in film(played.episodes, config.task, row)]
-        Film(folder / film_name).write(frames)
+        Film(folder / film_name).write(film(played.episodes, config.task))
         write_page(folder / "page.html", locate(str(dataset)))
     reached = int(played.episodes.episodes["success"].sum())
     progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +152,7 @@ def evaluate(
     _require_playable(config)
     made_by, results, films = identity(config), list[Result](), list[Episodes]()
     prepare = partial(compile_first, engine=config.task.engine)
-    beside = [one for one in (video, record) if one is not None]
+    beside = [*filter(None, (video, record))]
 
     def _recipe(place: Path | None) -> Recipe[str]:
         nonlocal results, films
@@ -162,7 +162,10 @@ def evaluate(
         results, played, films = yield from _evaluation(config, filmed, record is not None)
         # before the output, which says that all is done
         if video is not None:
-            _write_film(config, films, video, options.overwrite)
+            tasks = (task for _, task in config.setups())
+            frames = [*chain.from_iterable(map(film, films, tasks))]
+            with atomic_write(video, overwrite=options.overwrite) as temporary:
+                Film(temporary).write(frames)
         if record is not None:
             with atomic_write(record, overwrite=options.overwrite) as temporary:
                 write_entry(temporary, config, played, _claims(config, results, made_by))
@@ -259,43 +262,29 @@ def _report(
     }
 
 
-def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.uint8]]:
-    """Return the frames of a film of an episode, with all of its views and each pull.
+def film(episodes: Episodes, task: TaskConfig) -> list[NDArray[np.uint8]]:
+    """Return the frames of a film of episodes, with all of their views and each pull.
 
     Args:
         episodes: with their steps.
         task: that they were played in.
-        row: which of them.
 
     Returns:
         RGB pictures of one size, uint8, one for each state.
     """
     from knotgym.rendering import Film
 
-    one = episodes.select([row])
-    own, steps = one.episodes, one.steps
-    pulls = zip(steps["bead"][:-1].tolist(), steps["force"][:-1].astype(np.float64), strict=True)
-    length = int(own["length"][0])
-    return Film.frames(
-        list(steps["observation"].astype(np.float64)),
-        own["goal_points"][0].astype(np.float64),
-        [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
-        list(pulls),
-        one.goal_reached(task),
-        task.views,
-    )
-
-
-def _write_film(
-    config: EvaluateConfig, films: Sequence[Episodes], video: Path, overwrite: bool
-) -> None:
-    from knotgym.rendering import Film
-
-    frames = [
-        frame
-        for (_, task), one in zip(config.setups(), films, strict=True)
-        for row in range(one.episodes.rows)
-        for frame in film(one, task, row)
-    ]
-    with atomic_write(video, overwrite=overwrite) as temporary:
-        Film(temporary).write(frames)
+    frames = list[NDArray[np.uint8]]()
+    for one in (episodes.select([row]) for row in range(episodes.episodes.rows)):
+        own, steps = one.episodes, one.steps
+        beads, forces = steps["bead"][:-1].tolist(), steps["force"][:-1].astype(np.float64)
+        length = int(own["length"][0])
+        frames += Film.frames(
+            list(steps["observation"].astype(np.float64)),
+            own["goal_points"][0].astype(np.float64),
+            [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
+            list(zip(beads, forces, strict=True)),
+            one.goal_reached(task),
+            task.views,
+        )
+    return frames
