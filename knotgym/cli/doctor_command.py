@@ -25,7 +25,7 @@ EXPECTED = {
     "MuJoCo, 30 actions": "694cff86df4b",
     "Gauss codes": "56d42c1eca22",
     "drawn curves": "4267ef71671e",
-    "generated states": "119ea7c3532a",
+    "generated states": "7774c1c134f8",
     "picture": "0390255c8d21",
     "photo": "0fda8e85acb9",
     "expert's episode": "a8f548dab19c",

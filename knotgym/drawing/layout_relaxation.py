@@ -43,9 +43,6 @@ TENSION = 1.0  # balances the pressures
 BENDING = 0.0007  # stiffness, per face
 CROSSING = 2.0  # stiffness of the right angles at crossings
 PUSH, REACH = 80000.0, 0.025  # repulsion between strands, per face; within 6 pixels
-# Exponent that makes small faces push harder; with 0, a pressure is share / area, and the larger it
-# is, the more equal the areas become.
-POWER = 1.0
 MOST, STEP = 0.01, 0.4  # largest displacement of a node; fraction of the Newton step that is taken
 
 
@@ -67,7 +64,7 @@ def relax_layout(
     Returns:
         The positions and the walk after relaxation and splitting.
     """
-    strengths = TENSION, BENDING, CROSSING, PUSH, REACH, POWER, MOST, STEP
+    strengths = TENSION, BENDING, CROSSING, PUSH, REACH, MOST, STEP
     at, iterations = at.copy(), FIRST
     while True:
         _relax(at, walk, left, right, shares, iterations, strengths)
@@ -92,14 +89,14 @@ def _relax(
     right: Integers,
     shares: Array,
     iterations: int,
-    strengths: tuple[float, float, float, float, float, float, float, float],
+    strengths: tuple[float, float, float, float, float, float, float],
 ) -> None:
     """Run the iterations, changing `at`; `strengths` are the constants above.
 
     `force` (nodes, 2) sums the forces on each node. `stiff` (nodes,) sums their derivatives by the
     node's own position, without signs or cross terms.
     """
-    tension, bending, crossing, push, reach, power, most, step = strengths
+    tension, bending, crossing, push, reach, most, step = strengths
     nodes, count, edges = len(at), len(walk), len(left)
     per_edge = count // edges  # segments
     nx = edges // 2
@@ -139,8 +136,8 @@ def _relax(
             area[right[edge]] -= swept
         force[:] = 0.0
         stiff[:] = 0.0
-        # Pressure p = share / area * min(fair^-power, 1000), `fair` being the area relative to the
-        # mean area per share. If the drawing is stretched by 1 + e, the pressures do the work
+        # Pressure p = share / area * min(1 / fair, 1000), `fair` being the area relative to the mean
+        # area per share: small faces push harder. If the drawing is stretched by 1 + e, the pressures do the work
         # 2 e * virial, with virial = sum of p * area; tension 1 takes up as much.
         virial, inside = 0.0, 0.0
         for face in range(len(shares)):
@@ -148,7 +145,7 @@ def _relax(
                 inside += area[face]
         for face in range(len(shares)):
             fair = max(area[face], 1e-60) * balloons / inside
-            pressure[face] = shares[face] / max(area[face], 1e-60) * min(fair**-power, 1e3)
+            pressure[face] = shares[face] / max(area[face], 1e-60) * min(1 / fair, 1e3)
             virial += pressure[face] * area[face]
         for s in range(count):
             a, b, edge = walk[s], walk[(s + 1) % count], s // per_edge
