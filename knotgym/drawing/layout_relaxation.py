@@ -136,9 +136,10 @@ def _relax(
             area[right[edge]] -= swept
         force[:] = 0.0
         stiff[:] = 0.0
-        # Pressure p = share / area * min(1 / fair, 1000), `fair` being the area relative to the mean
-        # area per share: small faces push harder. If the drawing is stretched by 1 + e, the pressures do the work
-        # 2 e * virial, with virial = sum of p * area; tension 1 takes up as much.
+        # Pressure p = share / area * min(1 / fair, 1000), `fair` being the area relative to the
+        # mean area per share: small faces push harder. If the drawing is stretched by 1 + e, the
+        # pressures do the work 2 e * virial, with virial = sum of p * area; tension 1 takes up as
+        # much.
         virial, inside = 0.0, 0.0
         for face in range(len(shares)):
             if shares[face] > 0:
