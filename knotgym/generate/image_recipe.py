@@ -66,6 +66,7 @@ from knotgym.states import (
 from knotgym.topology import Symmetry, codes_of, find_crossings, pyknotid_code
 
 _SYMMETRIES = 12  # drawn for each frame
+_held_form = lru_cache(maxsize=2**16)(held_form)
 # columns of frames
 _FRAME: dict[str, Any] = {
     **{"points": np.float64, "rope": np.int64, "pulls": np.int64, "nx": np.int64},
@@ -139,6 +140,7 @@ class _Plan(NamedTuple):
 
 
 def _plan_of(config: ImagesConfig, states: States) -> _Plan:
+    """Plan what is made of states; raise InvalidInput if such pictures can't be."""
     if states.attributes.get("rope") != (fingerprint := RopeConfig().fingerprint):
         raise InvalidInput(
             f"the states were made with rope model {states.attributes.get('rope')}; this"
@@ -153,7 +155,7 @@ def _plan_of(config: ImagesConfig, states: States) -> _Plan:
         every = [str(code) for knot in knots for code in codes_of(knot, nx)]
         if not every:
             raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
-        codes[nx] = sorted({held_form(code, marked=config.marked) for code in every})
+        codes[nx] = sorted({_held_form(code, marked=config.marked) for code in every})
     quota = _quotas(config, {nx: len(codes[nx]) for nx in codes})
     return _Plan(quota, _held_out(config, codes), states, _splits_of(config, states, set(quota)))
 
@@ -248,7 +250,6 @@ class _Pictures:
         self._have, self._hardest = Counter[Quota](), Counter[Quota]()
         # why frames were dropped by `_frames_of`, and refused here
         self._frames, self._dropped, self._refused = 0, Counter[str](), Counter[str]()
-        self._forms = dict[str, str]()  # code -> its `held_form`
         self._codes = Counter[tuple[str, str]]()
         self._known: Spectra | None = None  # of the chosen, in arrays with room for more
 
@@ -346,11 +347,8 @@ class _Pictures:
         return ""
 
     def _may_show(self, code: str, split: str) -> bool:
-        if split == "test-nx":
-            return True
-        if code not in self._forms:
-            self._forms[code] = held_form(code, marked=self._config.marked)
-        return (self._forms[code] in self._plan.held_out) == (split == "test-code")
+        held_out = _held_form(code, marked=self._config.marked) in self._plan.held_out
+        return split == "test-nx" or held_out == (split == "test-code")
 
     def _is_new(self, points: Array, split: str) -> bool:
         """Whether no chosen configuration is a near-duplicate; if so, remember the points.
