@@ -85,8 +85,6 @@ def compare(given: Given, files: Files = None, /) -> None:
 
 def _trained_on(given: Given, policies: list[str]) -> dict[str, Any]:
     """Return what all learners were trained on, of the settings that weren't given."""
-    from knotgym.control import PolicyConfig
-
     cards = [card for name in policies if (card := PolicyConfig(policy=name).card()) is not None]
     setups = [one for card in cards if isinstance(one := card.get("trained_on"), dict)]
     found: dict[str, Any] = {}

@@ -27,7 +27,7 @@ OBSERVATION = "state"
 SUITE: dict[str, Any] = tomllib.loads(
     (files("knotgym.generate") / "data" / "suite.toml").read_text("utf-8")
 )
-POLICIES, STATES, SPLITS = (tuple(SUITE[name]) for name in ("policies", "states", "splits"))
+STATES, SPLITS = tuple(SUITE["states"]), tuple(SUITE["splits"])
 BENCH, SIZES = "bench", SUITE["bench"]["sizes"]
 TIERS = tuple(SUITE["bench"]["policies"])  # policies whose episodes on bench states are a tier
 

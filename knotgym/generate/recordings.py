@@ -156,10 +156,8 @@ def digests(episodes: Episodes) -> NDArray[np.uint8]:
             *(start, steps["observation"][states], steps["bead"][pulls], steps["force"][pulls]),
             *(steps["crossings"][states], *(code[code != 0] for code in codes)),
         ]
-        whole = hashlib.sha256()
-        for part in parts:
-            whole.update(np.ascontiguousarray(part).tobytes())
-        found[row] = np.frombuffer(whole.digest()[:DIGEST], dtype=np.uint8)
+        digest = hashlib.sha256(b"".join(part.tobytes() for part in parts)).digest()
+        found[row] = np.frombuffer(digest[:DIGEST], dtype=np.uint8)
     return found
 
 

@@ -15,7 +15,7 @@ from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.generate import suite as module
 from knotgym.generate.collection import run_facts
-from knotgym.generate.episode_configs import POLICIES, SPLITS, STATES, SuiteConfig
+from knotgym.generate.episode_configs import SPLITS, STATES, SuiteConfig
 from knotgym.generate.suite import _describe_set, make_suite
 from knotgym.runs import RunOptions
 
@@ -48,7 +48,7 @@ def card(out: Path) -> dict[str, Any]:
 
 def test_the_whole_is_nine_setups_by_policies_splits_and_sets_of_states() -> None:
     sets = list(SuiteConfig().sets())
-    count = 9 * len(POLICIES) * len(SPLITS) * len(STATES)
+    count = 9 * len(SuiteConfig.SUITE["policies"]) * len(SPLITS) * len(STATES)
     assert len({one.dataset_id for one in sets}) == len(sets) == count
     for one in sets:
         assert ("train-code" in one.dataset_id) == (one.task.split == "train-code")
