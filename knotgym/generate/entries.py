@@ -174,11 +174,8 @@ def read_entry(path: Path) -> Entry | None:
         raise InvalidFile(f"{path} has no valid configuration: {one_line(error)}") from error
     if attributes.get("states") != states:
         raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
-    if attributes.get("rope") != RopeConfig().fingerprint:
-        raise InvalidFile(
-            f"{path} was played with rope model {attributes.get('rope')}, this version has"
-            f" {RopeConfig().fingerprint}"
-        )
+    if unlike := RopeConfig().unlike(attributes.get("rope")):
+        raise InvalidFile(f"{path} was played with {unlike}")
     if ("bins" in pulls) == ("force" in pulls):
         raise InvalidFile(f"{path} needs one column of forces: 'force' or 'bins'")
     if "bins" in pulls:

@@ -141,11 +141,8 @@ class _Plan(NamedTuple):
 
 def _plan_of(config: ImagesConfig, states: States) -> _Plan:
     """Plan what is made of states; raise InvalidInput if such pictures can't be."""
-    if states.attributes.get("rope") != (fingerprint := RopeConfig().fingerprint):
-        raise InvalidInput(
-            f"the states were made with rope model {states.attributes.get('rope')}; this"
-            f" version has {fingerprint}"
-        )
+    if unlike := RopeConfig().unlike(states.attributes.get("rope")):
+        raise InvalidInput(f"the states were made with {unlike}")
     states = states.take(states.nx <= max(config.nx))
     if not len(states):
         raise InvalidInput(f"there is no state with at most {max(config.nx)} crossings")

@@ -131,12 +131,9 @@ class RopeConfig:
     @property
     def added(self) -> dict[str, Any]:
         """Parameters that the published rope doesn't have, where they differ from their default."""
-        own = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
-        return {
-            name: value
-            for name, (value, default) in own.items()
-            if name not in _PUBLISHED and value != default
-        }
+        new = (field for field in fields(self) if field.name not in _PUBLISHED)
+        values = ((field.name, getattr(self, field.name), field.default) for field in new)
+        return {name: value for name, value, default in values if value != default}
 
     @property
     def fingerprint(self) -> str:
@@ -147,6 +144,11 @@ class RopeConfig:
         known = {name: value for name, value in asdict(self).items() if name in _PUBLISHED}
         text = json.dumps({**_PUBLISHED, **known, **self.added}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def unlike(self, fingerprint: object) -> str:
+        """Say how the rope that something was made with differs; "" if it has this fingerprint."""
+        own = self.fingerprint
+        return f"rope model {fingerprint}, this version has {own}" if fingerprint != own else ""
 
 
 class Rope:
