@@ -148,9 +148,9 @@ def show_episodes(source: Any) -> dict[str, Any]:
 
 def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield the faults for which nothing else can be checked."""
-    rope, (own, steps) = dataset.task.rope_config, dataset.episodes
-    if (made_for := dataset.attributes.get("rope")) != rope.fingerprint:
-        yield f"{dataset.path}: rope model {made_for} isn't this version's, {rope.fingerprint}"
+    own, steps = dataset.episodes
+    if unlike := dataset.task.rope_config.unlike(dataset.attributes.get("rope")):
+        yield f"{dataset.path}: made with {unlike}"
     for name, column in [*own.items(), *steps.items()]:
         if column.dtype.kind == "f" and not np.isfinite(column).all():
             yield f"{dataset.path}: {name} contains a number that isn't finite"

@@ -117,12 +117,9 @@ def _of_our_rope(path: Path, task: TaskConfig) -> States:
     if (own := states.points.shape[1]) != task.beads:
         raise InvalidInput(f"{path} has ropes of {own} beads, got beads = {task.beads}; use {own}")
     # states at rest depend on the rope's shape, not on its damping or the integrator's step
-    made_for, ours = states.attributes.get("rope"), task.rope_at_rest.fingerprint
-    if made_for != ours:
-        shape = f" of rope = {task.rope}" if task.rope else ""
-        raise InvalidInput(
-            f"{path} was made for rope model {made_for}, this version{shape} has {ours}"
-        )
+    if unlike := task.rope_at_rest.unlike(states.attributes.get("rope")):
+        shape = f" for rope = {task.rope}" if task.rope else ""
+        raise InvalidInput(f"{path} was made for {unlike}{shape}")
     return states
 
 
