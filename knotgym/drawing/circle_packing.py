@@ -5,8 +5,17 @@ packing algorithm" (Computational Geometry 25, 2003): each circle grows or shrin
 around it just close up. Straight lines between the centres of tangent circles then draw the
 triangulation without crossings.
 
-After a change run `pytest tests/drawing`: packed circles must draw the triangulation without folds.
+What is packed is the triangulated planar map of a Gauss code. Its nodes are the crossings and CUTS
+points on every edge (the strand between two visits). Inside every face there is a ring of nodes,
+one for each node on the walk around the face, and a centre node. The ring keeps the triangulation
+simple, without loops or double edges, also for faces with one or two sides and for faces that meet
+a crossing twice.
+
+After a change run `pytest tests/drawing`: every map must be a triangulated disc, and packed circles
+draw it without folds.
 """
+
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -14,14 +23,82 @@ from numpy.typing import NDArray
 
 from knotgym.common import inner
 from knotgym.drawing.portable import angle_of, sin_cos
+from knotgym.topology import GaussCode, faces
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+CUTS = 3  # nodes inside an edge; two are enough for a simple triangulation
 # Random codes of 6 crossings need up to 480 sweeps, of 10 up to 1,550. Relaxation moves every node
 # afterwards, so what centres need is no fold.
 _MAX_SWEEPS = 4000
 _TOLERANCE = 1e-7  # allowed deviation of an angle sum from 2 pi, radians
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarMap:
+    """The triangulated planar map of a code; crossing k is node k - 1.
+
+    Attributes:
+        walk: int64 (2 nx (CUTS + 1),), nodes along the rope from visit 0; each crossing occurs
+            twice.
+        left, right: int64 (2 nx,), the faces on either side of each edge.
+        triangles: int64 (t, 3), nodes counterclockwise; the outer face has no centre node.
+        rim: int64, the ring of the outer face, clockwise as seen from inside.
+        nodes: number of nodes.
+    """
+
+    walk: Integers
+    left: Integers
+    right: Integers
+    triangles: Integers
+    rim: Integers
+    nodes: int
+
+
+def planar_map(code: GaussCode, outer: int) -> PlanarMap:
+    """Triangulate the planar map of a code.
+
+    Args:
+        code: a planar code with chirality and at least one crossing.
+        outer: index in `faces(code)` of the outer face.
+    """
+    edges, nx = 2 * code.nx, code.nx
+    step = CUTS + 1
+    walk = np.empty(edges * step, dtype=np.int64)
+    walk[::step] = np.abs(code.visits) - 1
+    for cut in range(CUTS):
+        walk[cut + 1 :: step] = nx + CUTS * np.arange(edges) + cut
+    walks = faces(code)
+    side = np.empty(2 * edges, dtype=np.int64)  # the face on the left of each dart
+    nodes, triangles, rim = nx + CUTS * edges, [], np.empty(0, dtype=np.int64)
+    for number, darts in enumerate(walks):
+        side[darts] = number
+        border = np.concatenate([_nodes_of(dart, walk, step) for dart in darts])
+        ring = nodes + np.arange(len(border))
+        after, ring_after = np.roll(border, -1), np.roll(ring, -1)
+        # a strip of two triangles per border node between the border and the ring
+        #   ring   ring_after        the face is on the left of the border,
+        #   border after             so both rows run counterclockwise around it
+        triangles += [
+            np.stack([border, after, ring], axis=1),
+            np.stack([after, ring_after, ring], axis=1),
+        ]
+        nodes += len(ring)
+        # every other face is closed by a fan around a centre node
+        if number == outer:
+            rim = ring
+        else:
+            triangles.append(np.stack([ring, ring_after, np.full(len(ring), nodes)], axis=1))
+            nodes += 1
+    return PlanarMap(walk, side[0::2], side[1::2], np.concatenate(triangles), rim, nodes)
+
+
+def _nodes_of(dart: int, walk: Integers, step: int) -> Integers:
+    """Return the nodes along a dart, without the one at its end."""
+    edge, back = divmod(dart, 2)
+    along = np.take(walk, np.arange(edge * step, (edge + 1) * step + 1), mode="wrap")
+    return along[:0:-1] if back else along[:-1]
 
 
 def pack_circles(triangles: Integers, rim: Integers, nodes: int) -> Array:

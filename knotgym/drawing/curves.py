@@ -12,10 +12,9 @@ After a change run `pytest tests/drawing`, then `knotgym generate --no-demonstra
 import numpy as np
 
 from knotgym.common import Failed, InvalidInput
-from knotgym.drawing.circle_packing import pack_circles
+from knotgym.drawing.circle_packing import pack_circles, planar_map
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.layout_relaxation import Integers, relax_layout
-from knotgym.drawing.planar_map import planar_map
 from knotgym.drawing.portable import exp, sin_cos
 from knotgym.rope import Array, Rope
 from knotgym.topology import GaussCode, faces, label, with_chirality

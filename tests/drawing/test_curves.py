@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from knotgym.common import Failed
-from knotgym.drawing.circle_packing import pack_circles
+from knotgym.drawing.circle_packing import pack_circles, planar_map
 from knotgym.drawing.curves import drawn_curve
-from knotgym.drawing.planar_map import planar_map
 from knotgym.topology import GaussCode, faces, label, with_chirality
 
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
