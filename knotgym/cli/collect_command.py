@@ -42,11 +42,9 @@ def collect(
     from knotgym.generate import require_collectable
 
     options = given.run
-    several = [
-        given.get("task.task") if task is None else [one.strip() for one in task.split(",")],
-        given.get("task.nx") if nx is None else numbers(nx),
-    ]
-    several = [[*one] if isinstance(one, (list, tuple)) else [one] for one in several]
+    tasks = given.get("task.task") if task is None else [one.strip() for one in task.split(",")]
+    both = tasks, given.get("task.nx") if nx is None else numbers(nx)
+    several = [[*one] if isinstance(one, (list, tuple)) else [one] for one in both]
     if given.get("dataset_id"):
         pairs = [tuple(one[0] if len(one) == 1 else one for one in several)]
     else:

@@ -108,17 +108,16 @@ class Entry(NamedTuple):
         """Replay: yield the result of each setup, and its faults."""
         config, lengths, first = self.config, self.rows["length"].astype(np.int64), 0
         ends = np.concatenate([[0], np.cumsum(lengths)])
+        seed_of = Stream.EVALUATION_EPISODE.derived_seed
         # the chain engine replays an entry sooner than workers start
         with executor(0 if config.task.engine == MUJOCO else 1) as pool:
             done = Counts.from_now(pool=pool)
             Counts.tell("episodes replayed", done, self.rows.rows)
             for setup, (policy, task) in enumerate(config.setups()):
-                few = blocks(config.episodes, task, policy.plans)
-                bounds = [(first + one.start, first + one.stop) for one in few]
-                rows = [self.rows.take(slice(*own)) for own in bounds]
-                pulls = [self.pulls.take(slice(*ends[[*own]])) for own in bounds]
-                stream = Stream.EVALUATION_EPISODE
-                seeds = [[stream.derived_seed(config.seed, k) for k in one] for one in few]
+                few = blocks(config.episodes, task, policy.plans, first)
+                rows = [self.rows.take(slice(one.start, one.stop)) for one in few]
+                pulls = [self.pulls.take(slice(ends[one.start], ends[one.stop])) for one in few]
+                seeds = [[seed_of(config.seed, k - first) for k in one] for one in few]
                 made = pool.map(_replayed, [task] * len(few), seeds, rows, pulls)
                 columns = [*map(dict[str, Any], made)]
                 wrong = np.concatenate([one.pop("wrong") for one in columns])
