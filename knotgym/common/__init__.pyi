@@ -40,6 +40,6 @@ from .tables import format_of as format_of
 from .tables import new_hdf5 as new_hdf5
 from .tables import padded as padded
 from .tables import read_tables as read_tables
-from .tables import require_stored_here as require_stored_here
+from .tables import require_stored as require_stored
 from .tables import write_tables as write_tables
 from .threads import Threads as Threads

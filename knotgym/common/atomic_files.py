@@ -254,8 +254,7 @@ def require_regular(
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Return the hexadecimal SHA-256 of a regular file's bytes; a pipe or device may never end."""
-    if not Path(path).is_file() and Path(path).exists():
-        raise OSError(f"{path} isn't a regular file")
+    """Return the hexadecimal SHA-256 of a regular file's bytes, see `require_regular`."""
+    require_regular(path, "file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

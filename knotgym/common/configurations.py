@@ -34,7 +34,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as validated_dataclass
 
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
 
 Config = TypeVar("Config")
 
@@ -287,4 +287,5 @@ def differences(there: Any, requested: Any, where: str = "") -> Iterator[str]:
             path = f"{where}.{name}" if where else str(name)
             yield from differences(there.get(name), requested.get(name), path)
     elif there != requested:
-        yield f"{where} is {json.dumps(there)} there and {json.dumps(requested)} here"
+        found = f"{where} is {json.dumps(there)} there and {json.dumps(requested)} here"
+        yield one_line(found)

@@ -442,7 +442,7 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
     if h5py.check_enum_dtype(data.dtype) is not None or data.dtype.hasobject:
         kind = _type_name(data.dtype)
         raise InvalidInput(f"column {column.name} is {kind}, should be {column.dtype}")
-    require_stored_here(data, column.name)
+    require_stored(data, column.name)
     offset = data.id.get_offset()
     if data.dtype.kind == "S":
         values: NDArray[Any] = np.strings.decode(np.asarray(data[()]), "utf-8").astype(np.str_)
@@ -457,7 +457,7 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
     return values
 
 
-def require_stored_here(data: h5py.Dataset, name: str) -> None:
+def require_stored(data: h5py.Dataset, name: str) -> None:
     """Refuse data in other files, unusual filters, and sizes beyond what the bytes can hold."""
     made = data.id.get_create_plist()
     layout = made.get_layout()

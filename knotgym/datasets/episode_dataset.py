@@ -50,22 +50,12 @@ from knotgym.common import (
     sha256,
     write_tables,
 )
-from knotgym.datasets.episodes import (
-    EPISODES,
-    NOT_STEPPED,
-    PULLS,
-    RECORDED,
-    STEPS,
-    STORED_PULLS,
-    Episodes,
-    fitted,
-)
+from knotgym.datasets.episodes import FORMS, NOT_STEPPED, PULLS, STORED_PULLS, Episodes, fitted
 from knotgym.envs import TaskConfig
 from knotgym.rope import FORCE_BINS, quantized
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 
 FORMAT, VERSION = "knotgym-episodes", 2
-FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, STORED_PULLS)}
 FILE = "episodes.h5"
 # the force of each whole number, at the place of its byte
 _FORCES = quantized(np.arange(256).astype(np.int8) / FORCE_BINS).astype(np.float32)

@@ -92,6 +92,7 @@ STORED_PULLS = PULLS._replace(
     columns=tuple(c._replace(optional=c.name != "bead") for c in _PULLS) + _BINS
 )
 STEPS = Schema("steps", (*_PULLS, *_FRAMES), "a state, the pull made in it, and what it brought")
+FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, STORED_PULLS)}  # of files
 MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 
 _VISITS = ("visits", "goal_visits")  # columns of codes

@@ -13,19 +13,12 @@ from typing import NamedTuple
 
 import h5py
 
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    format_of,
-    require_no_links,
-    require_output,
-    require_stored_here,
-)
+from knotgym.common import InvalidFile, InvalidInput, format_of, require_no_links, require_stored
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest import read_manifest
 from knotgym.datasets.minari_form import data_files
-from knotgym.states import minari_root, read_states, resolve, resolve_states
+from knotgym.states import read_states, resolve, resolve_states
 
 _LIMIT = 60.0  # seconds
 _SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes
@@ -133,29 +126,6 @@ def _located(root: Path) -> Located | None:
     return Located(root, episodes=found) if found else None
 
 
-def require_file(
-    out: Path, sources: Iterable[Path], overwrite: bool, *, folder: bool = False
-) -> None:
-    """Check that a plain file, or a folder of such, can be written.
-
-    Args:
-        out: its path.
-        sources: what it is made from.
-        overwrite: whether it may replace an older one.
-        folder: whether it is a folder.
-
-    Raises:
-        InvalidInput: it is in Minari's folder.
-        Occupied: as of `require_output`.
-    """
-    if out.resolve().is_relative_to(minari_root().resolve()):
-        raise InvalidInput(
-            f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
-            " knotgym/name-v0, or give another --out"
-        )
-    require_output(out, folder=folder, overwrite=overwrite, reads=sources)
-
-
 def _datasets_below(folder: Path) -> tuple[Path, ...]:
     if (folder / FILE).is_file() or (folder / "data" / FILE).is_file():
         return (folder,)
@@ -193,7 +163,7 @@ def _read_whole(path: Path) -> str:
         try:
             dict(item.attrs)
             if isinstance(item, h5py.Dataset):
-                require_stored_here(item, name)
+                require_stored(item, name)
                 for part in item.iter_chunks() if item.chunks else ((),):
                     item[part]
         except OSError as error:

@@ -21,7 +21,7 @@ import re
 import shutil
 import stat
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -171,6 +171,29 @@ def publish(
         if wanted and not any(part.is_recording for part in parts):
             write_minari(open_episodes(data / FILE), data)
     return folder
+
+
+def require_file(
+    out: Path, sources: Iterable[Path], overwrite: bool, *, folder: bool = False
+) -> None:
+    """Check that a plain file, or a folder of such, can be written.
+
+    Args:
+        out: its path.
+        sources: what it is made from.
+        overwrite: whether it may replace an older one.
+        folder: whether it is a folder.
+
+    Raises:
+        InvalidInput: it is in Minari's folder.
+        Occupied: as of `require_output`.
+    """
+    if out.resolve().is_relative_to(minari_root().resolve()):
+        raise InvalidInput(
+            f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
+            " knotgym/name-v0, or give another --out"
+        )
+    require_output(out, folder=folder, overwrite=overwrite, reads=sources)
 
 
 def copy_file(source: Path, target: Path) -> None:

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, Table, from_json, read_json, require_stored_here
+from knotgym.common import InvalidFile, Table, from_json, read_json, require_stored
 from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, Shown
 from knotgym.envs import TaskConfig
 from knotgym.rope import Rope, nearest_beads
@@ -59,7 +59,7 @@ def _episode(items: Mapping[str, Any], name: str, task: TaskConfig, policy: str)
     """Read one episode of T pulls."""
 
     def _read(key: str) -> NDArray[Any]:
-        require_stored_here(items[f"{name}/{key}"], key)
+        require_stored(items[f"{name}/{key}"], key)
         return np.asarray(items[f"{name}/{key}"][()])
 
     seen = items.get(f"{name}/observations/state", items[f"{name}/observations"])

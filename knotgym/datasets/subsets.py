@@ -41,8 +41,8 @@ from knotgym.datasets.episode_dataset import (
     write_episodes,
 )
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.located import locate, require_file
-from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
+from knotgym.datasets.located import locate
+from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish, require_file
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.rope import Array
 from knotgym.states import (

@@ -16,16 +16,7 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.common import (
-    InvalidInput,
-    Mark,
-    as_json,
-    differences,
-    merged,
-    read_json,
-    require_regular,
-    sha256,
-)
+from knotgym.common import InvalidInput, Mark, as_json, differences, merged, read_json, sha256
 from knotgym.rope import RopeConfig
 from knotgym.states import is_bundled, resolve_states
 
@@ -98,10 +89,7 @@ def _digests(files: Any) -> Any:
         return {name: _digests(files[name]) for name in sorted(files)}
     if isinstance(files, list):
         return [_digests(one) for one in files]
-    if isinstance(files, Path):
-        require_regular(files, "file")
-        return sha256(files)
-    return files
+    return sha256(files) if isinstance(files, Path) else files
 
 
 def _leaves(files: Any) -> Iterator[Path]:

@@ -29,15 +29,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    Occupied,
-    differences,
-    one_line,
-    read_json,
-    remove,
-)
+from knotgym.common import InvalidFile, InvalidInput, Occupied, differences, read_json, remove
 
 Result = Mapping[str, NDArray[Any]]
 
@@ -166,11 +158,11 @@ class Journal(ChainMap[str, Result]):
         except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
             raise InvalidFile(f"{path} isn't a journal of a run, or it is damaged") from error
         if head != _HEAD:
-            raise InvalidFile(f"{path} has {one_line(str(head)[:80])}; this version reads {_HEAD}")
+            raise InvalidFile(f"{path} has {head!r:.80}; this version reads {_HEAD}")
         if there != self._run:
             found = "; ".join(list(differences(there, self._run))[:3])
             raise InvalidInput(
-                f"{path} belongs to a different run: {one_line(found[:500])}; give the same"
+                f"{path} belongs to a different run: {found[:500]}; give the same"
                 " options again, or --restart to delete an interrupted run"
             )
         files = (file for file in _work(path) if file.name != CHECKPOINT)
