@@ -71,7 +71,7 @@ _MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones wou
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
 
 
-def state_faults(states: States) -> Iterator[str]:
+def _state_faults(states: States) -> Iterator[str]:
     """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
     made_for, beads = states.attributes.get("rope"), states.points.shape[1]
     if beads not in TaskConfig.BEADS or RopeConfig.of(beads).fingerprint != made_for:
@@ -109,7 +109,7 @@ def state_faults(states: States) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
-def folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
+def _folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
@@ -122,7 +122,7 @@ def folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
     except (InvalidFile, MissingFile) as error:
         yield str(error)
         return
-    yield from state_faults(states)
+    yield from _state_faults(states)
     for file in sorted(folder.glob(f"minari/**/{FILE}")):
         own = [*episode_faults(file, replay)]
         yield from own
@@ -155,7 +155,7 @@ def _demonstration_faults(states: States, name: str, played: EpisodeDataset) -> 
         yield f"states.h5 row {row}: episode {k} of {name} {fault}"
 
 
-def row_faults(
+def _derived_faults(
     stored: Mapping[str, Any],
     rope: Rope,
     derive: Callable[[RopeAtRest], Mapping[str, Any]] = STATES.derive,
@@ -201,7 +201,7 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     rounding = 0.0 if states.engine == MUJOCO else _CONVERTED
     if not np.abs(rope.points(stored["qpos"]) - stored["points"]).max() <= rounding:
         yield "points are not those of qpos"
-    yield from row_faults(stored, rope)
+    yield from _derived_faults(stored, rope)
     if stored["split"] not in STATE_SPLITS:
         yield f"split is {str(stored['split'])!r}"
     try:
@@ -294,7 +294,7 @@ def _redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
     return drawer.drawn(points, drawer.read(row))
 
 
-def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
+def _image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
     """Yield the faults of a table: manifest and checksums, then rows and splits.
 
     Args:
@@ -365,7 +365,7 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
             return
     points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
     whole = {**row, "points": points}
-    yield from row_faults(
+    yield from _derived_faults(
         whole, Rope(), lambda own: image_table.derived(own, _redrawn(own.points, row))
     )
     if (colours := row["appearance"]["colours"]) not in _COLOURS:
@@ -412,11 +412,11 @@ def faults(found: Located, replay: Replay, each: Map = map, sample: int = 0) -> 
         sample: how many drawn episodes of each dataset to play again; 0 for all.
     """
     if found.pictures:
-        own = image_faults(found.pictures, each)
+        own = _image_faults(found.pictures, each)
     elif found.states and found.root.is_dir():
-        own = folder_faults(found.root, replay)
+        own = _folder_faults(found.root, replay)
     elif found.states:
-        own = state_faults(read_states(found.states))
+        own = _state_faults(read_states(found.states))
     else:
         verified = partial(episode_faults, replay=replay, sample=sample)
         own = chain.from_iterable(map(verified, found.episodes))

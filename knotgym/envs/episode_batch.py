@@ -204,10 +204,10 @@ class EpisodeBatch:
             goals = CodeArrays(np.asarray(rows["goal_visits"], dtype=np.int16)).objects()
         else:
             goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
-        self.seek(ids, goals)
+        self._seek(ids, goals)
         self.view.reset(ids)
 
-    def seek(self, ids: Ids, goals: Sequence[GaussCode]) -> None:
+    def _seek(self, ids: Ids, goals: Sequence[GaussCode]) -> None:
         """Replace the goals' codes of ropes; `goal_row` and the goals' pictures stay."""
         visits = CodeArrays.of(goals, self.wanted.shape[1] // 2).visits
         self._widen(visits.shape[1])

@@ -14,7 +14,7 @@ from synthetic_pictures import picture_rows
 from knotgym.common import InvalidFile
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_table import decode, drawn_table, encode, read_table
-from knotgym.datasets.row_verification import image_faults
+from knotgym.datasets.row_verification import _image_faults
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 
@@ -80,14 +80,14 @@ def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
 def test_a_changed_cell_is_found(
     shard: Path, tmp_path: Path, place: tuple[Any, ...], told: str
 ) -> None:
-    found = [*image_faults(with_cell(shard, tmp_path, *place))]
+    found = [*_image_faults(with_cell(shard, tmp_path, *place))]
     assert any(told in fault for fault in found), found
 
 
 def test_columns_of_another_type_missing_or_twice_are_refused(shard: Path, tmp_path: Path) -> None:
     import pyarrow as pa
 
-    assert [*image_faults(shard)] == []
+    assert [*_image_faults(shard)] == []
     for change, told in (
         (lambda t: t.set_column(5, "nx", pa.array(["3"])), "column nx is string, should be int64"),
         (lambda t: t.drop_columns(["nx"]), "column nx must exist once, found 0"),

@@ -108,7 +108,7 @@ def test_only_replays_that_differ_may_be_another_machines_rounding(
 ) -> None:
     written(tmp_path)
     monkeypatch.setattr(
-        "knotgym.datasets.row_verification.folder_faults", lambda *given: iter(faults)
+        "knotgym.datasets.row_verification._folder_faults", lambda *given: iter(faults)
     )
     told = list(dataset_faults(tmp_path))[1:]
     assert len(told) == isinstance(faults[0], ReplayFault) and all(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, InvalidInput
-from knotgym.datasets.row_verification import state_faults
+from knotgym.datasets.row_verification import _state_faults
 from knotgym.envs import KnotEnv
 from knotgym.states import read_states, shipped
 from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, shows
@@ -54,4 +54,4 @@ def test_the_unknot_task_begins_with_one(nx: int) -> None:
 def test_shipped_states_are_without_fault(name: str, most: int | None) -> None:
     states = read_states(shipped(name), images=name != "bench")
     shortest = np.argsort(states.source["steps"], kind="stable")[:most]
-    assert list(state_faults(states.take(np.sort(shortest)))) == []
+    assert list(_state_faults(states.take(np.sort(shortest)))) == []

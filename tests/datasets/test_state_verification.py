@@ -10,7 +10,7 @@ import pytest
 
 from knotgym.common import sha256
 from knotgym.control import replay
-from knotgym.datasets.row_verification import folder_faults, state_faults
+from knotgym.datasets.row_verification import _folder_faults, _state_faults
 from knotgym.states import States, read_states, shipped, write_states
 
 ENDS_ELSEWHERE = "replay of its start and actions does not end in qpos bit for bit"
@@ -62,7 +62,7 @@ def test_an_altered_value_is_found(
     row = at if isinstance(at, int) else at[0]
     if value is None:  # the smallest change
         value = np.nextafter(pair.table[name][at], 1)
-    found = list(state_faults(altered(pair, name, at, value)))
+    found = list(_state_faults(altered(pair, name, at, value)))
     start = f"states.h5 row {row}: "
     assert any(line.startswith(start + fault) for line in found), found
     assert all(line.startswith(start) for line in found), found
@@ -71,7 +71,7 @@ def test_an_altered_value_is_found(
 def test_measures_may_differ_by_rounding(pair: States) -> None:
     angle = pair.quality["crossing_angle"][1]
     changed = altered(pair, "quality/crossing_angle", 1, angle * (1 + 1e-13))
-    assert list(state_faults(changed)) == []
+    assert list(_state_faults(changed)) == []
 
 
 @pytest.mark.parametrize(
@@ -88,34 +88,34 @@ def test_another_seed_than_that_of_a_drawing_or_a_walk_is_found(
 ) -> None:
     states = read_states(shipped(name), images=False).take([row])
     changed = altered(altered(states, "source/seed", (0, 0), set_), "source/seed", (0, 4), 9)
-    assert any(fault in line for line in state_faults(changed))
+    assert any(fault in line for line in _state_faults(changed))
 
 
 def test_a_wrong_checksum_is_found(pair: States, tmp_path: Path) -> None:
     write_states(tmp_path / "states.h5", pair)
     read = read_states(tmp_path / "states.h5")
-    assert list(state_faults(read)) == []
+    assert list(_state_faults(read)) == []
     harmed = States(altered(read, "source/trajectory", 1, 99).table, read.attributes, read.digest)
-    assert list(state_faults(harmed)) == ["states.h5: its columns don't match content_sha256"]
+    assert list(_state_faults(harmed)) == ["states.h5: its columns don't match content_sha256"]
 
 
 def test_a_missing_origin_is_named(pair: States) -> None:
     names = [name for name in pair.table if name not in ("source/actions", "source/seed")]
     few = States(pair.table.only(*names), pair.attributes)
-    assert list(state_faults(few)) == [
+    assert list(_state_faults(few)) == [
         "states.h5: source/actions is missing",
         "states.h5: source/seed is missing",
     ]
 
 
 def test_states_of_another_rope_are_not_judged(pair: States) -> None:
-    (fault,) = state_faults(pair.replaced({}, rope="feedfeedfeedfeed"))
+    (fault,) = _state_faults(pair.replaced({}, rope="feedfeedfeedfeed"))
     assert fault.startswith("rope model feedfeedfeedfeed is not this version's")
 
 
 def test_a_state_in_both_splits_is_a_leak(pair: States) -> None:
     twice = pair.take([1, 1]).replaced({"split": np.array(["train", "test"])})
-    assert list(state_faults(twice)) == [
+    assert list(_state_faults(twice)) == [
         "states.h5 rows 0 (train) and 1 (test) are near-duplicates: 0.0 mm apart at the best"
         " symmetry",
         "states.h5 rows 0 (train) and 1 (test) come from one rope",
@@ -145,13 +145,13 @@ def listed(folder: Path, **changes: Any) -> None:
 
 
 def test_a_changed_file_and_a_missing_one_are_named(light: Path) -> None:
-    assert list(folder_faults(light, replay)) == []
+    assert list(_folder_faults(light, replay)) == []
     (light / "README.md").write_text("other")
     (light / "states.h5").unlink()
-    assert sorted(folder_faults(light, replay)) == [
+    assert sorted(_folder_faults(light, replay)) == [
         "README.md is not the file the manifest lists (SHA-256 differs)",
         f"no knotgym-states file at {light / 'states.h5'}",
         "states.h5 is missing",
     ]
     (light / "manifest.json").write_text("[]")
-    assert next(folder_faults(light, replay)).startswith("manifest.json can't be read: ")
+    assert next(_folder_faults(light, replay)).startswith("manifest.json can't be read: ")

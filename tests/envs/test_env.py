@@ -52,7 +52,7 @@ def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 4) -> list[Any]:
 def goal_is_shown(episodes: EpisodeBatch, index: int) -> None:
     """Make the code that a rope shows its goal."""
     ids = np.array([index])
-    episodes.seek(ids, episodes.codes_of(ids))
+    episodes._seek(ids, episodes.codes_of(ids))
 
 
 @pytest.fixture
@@ -178,7 +178,7 @@ def test_holding_means_consecutive_steps(make: Make) -> None:
     reached, away = env.episodes.codes_of(ids), env.episodes.goals_of(ids)
     ends = []
     for goal in (reached, reached, away, reached, reached, reached):
-        env.episodes.seek(ids, goal)
+        env.episodes._seek(ids, goal)
         ends.append(env.step(IDLE)[1:4])
     assert ends == [(0.0, False, False)] * 5 + [(5.0, True, False)]
     env.reset(seed=0)  # forgets steps held
