@@ -276,6 +276,13 @@ def rows_of(table: Any) -> Iterator[dict[str, Any]]:
             yield row | {name: row[name]["bytes"] for name in pngs if name in row}
 
 
+def measures_of(table: Any) -> dict[str, tuple[str, NDArray[np.float64]]]:
+    """Return the unit and the values, (n,), of each measure of a table's pictures."""
+    whole = table["quality"].combine_chunks()
+    names = [field.name for field in whole.type]
+    return {n: (Quality.UNITS.get(n, ""), whole.field(n).to_numpy()) for n in names}
+
+
 def is_unchanged(table: Any) -> bool:
     """Whether the rows that were read from a shard are those that were written."""
     return bool(_named(table.schema).get(_DIGEST) == _content_digest(table))

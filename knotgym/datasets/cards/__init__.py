@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.datasets.gallery import state_tiles, write_gallery
-from knotgym.datasets.image_table import file_stem, marks_base, read_table, shards
+from knotgym.datasets.image_table import file_stem, marks_base, measures_of, read_table, shards
 from knotgym.datasets.manifest import read_manifest, write_manifest
-from knotgym.quality import GRADES, Quality
+from knotgym.quality import GRADES
 from knotgym.rendering import APPEARANCES
 from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, nearest, read_states
 from knotgym.topology import GaussCode
@@ -343,14 +343,9 @@ def _spread(states: States, nx: int) -> tuple[object, ...]:
 def _image_tables(path: Path) -> dict[str, CardTable]:
     """Return the tables of facts about a perception table by name."""
     rows = read_table(path, columns=[*_COUNTED, "quality"])
-    quality = rows["quality"].combine_chunks()
-    measures = {
-        field.name: (Quality.UNITS.get(field.name, ""), quality.field(field.name).to_numpy())
-        for field in quality.type
-    }
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
     counts = [counted("splits", columns, _SPLITS), counted("grades", columns, _GRADES)]
-    return {one.title: one for one in (*counts, measured(measures))}
+    return {one.title: one for one in (*counts, measured(measures_of(rows)))}
 
 
 def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from knotgym.common import Counts, InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import column_names, points_of, read_table, shards
+from knotgym.datasets.image_table import column_names, measures_of, points_of, read_table, shards
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
-from knotgym.quality import GRADES, Quality
+from knotgym.quality import GRADES
 from knotgym.rendering import bead_colours
 from knotgym.rope import Array, RopeConfig
 from knotgym.states import read_states
@@ -151,10 +151,7 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     rows = _sampled(len(table), most, "pictures", notices)
     taken = table.take(rows)
     columns = {name: taken[name].to_pylist() for name in _SHOWN}
-    measured = taken["quality"].to_pylist()
-    names = (measured or [{}])[0]
-    quality = {n: (Quality.UNITS.get(n, ""), [one[n] for one in measured]) for n in names}
-    found = _shapes(rows, {**columns, "points": points_of(taken)}, quality)
+    found = _shapes(rows, {**columns, "points": points_of(taken)}, measures_of(taken))
     for shown, row in zip(
         found["states"], taken.select(["grade", "image", *labels]).to_pylist(), strict=True
     ):
