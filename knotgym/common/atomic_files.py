@@ -71,19 +71,18 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         raise Occupied(f"{target} exists already; --overwrite replaces it, or choose another --out")
     if not target.exists():  # a broken link
         return
+    why = ""
     if target.is_dir() != folder:
         found, wanted = ("file", "folder") if folder else ("folder", "file")
-        never = f"a {wanted} never replaces a {found}"
-        raise Occupied(f"{target} is a {found}, and {never}; choose another --out")
-    if not folder and not target.is_file():
-        raise Occupied(f"{target} is a device or a pipe, which is never replaced")
-    if folder and Path.cwd().is_relative_to(target.resolve()):
-        raise Occupied(f"{target} contains the current folder; choose another --out")
-    if folder and (foreign := _foreign(target)):
-        raise Occupied(
-            f"{target} isn't replaced, because {foreign} in it isn't an output of this package;"
-            " choose another --out"
-        )
+        why = f"is a {found}, and a {wanted} never replaces a {found}"
+    elif not folder and not target.is_file():
+        why = "is a device or a pipe, which is never replaced"
+    elif folder and Path.cwd().is_relative_to(target.resolve()):
+        why = "contains the current folder"
+    elif folder and (foreign := _foreign(target)):
+        why = f"isn't replaced, because {foreign} in it isn't an output of this package"
+    if why:
+        raise Occupied(f"{target} {why}; choose another --out")
 
 
 def _foreign(folder: Path) -> str:
@@ -103,10 +102,10 @@ def _require_writable(target: Path) -> None:
     try:
         folder = next(parent for parent in target.absolute().parents if parent.exists())
         longest = os.pathconf(folder, "PC_NAME_MAX")
-        if any(len(os.fsencode(part)) > longest for part in target.parts):
-            raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
-        if os.statvfs(folder).f_flag & os.ST_RDONLY:
-            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        is_long = any(len(os.fsencode(part)) > longest for part in target.parts)
+        if is_long or os.statvfs(folder).f_flag & os.ST_RDONLY:
+            number = errno.ENAMETOOLONG if is_long else errno.EROFS
+            raise OSError(number, os.strerror(number))
         if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
             raise OSError(errno.EACCES, f"{folder} isn't a folder that you may write to")
     except OSError as error:

@@ -321,12 +321,10 @@ def _start_fault(points: Array, named: int, states: States, dataset: EpisodeData
 def _start_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield episodes of a collection that don't begin as the seeds of its run say."""
     run, rows = dataset.attributes.get("run"), dataset.episodes.episodes
-    config = run.get("config") if isinstance(run, dict) else None
-    if not isinstance(config, dict):
+    if not isinstance(run, dict) or not isinstance(config := run.get("config"), dict):
         return
-    seed, count = config.get("seed"), config.get("episodes")
+    seed, count, summary = config.get("seed"), config.get("episodes"), run.get("summary")
     if config.get("steps"):  # takes the place of `episodes`; as many were played as it took
-        summary = run.get("summary") if isinstance(run, dict) else None
         count = summary.get("played") if isinstance(summary, dict) else None
     if type(seed) is not int or type(count) is not int or not 0 <= count <= _MOST_EPISODES:
         yield f"{dataset.path}: its run had seed {seed!r} and {count!r} episodes, not two numbers"
