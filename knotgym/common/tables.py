@@ -294,10 +294,7 @@ def write_tables(
         for name, value in {**attributes, "format": format, "format_version": version}.items():
             plain = isinstance(value, str | int | float | np.generic)
             stored = value if plain else json.dumps(value, sort_keys=True)
-            if isinstance(stored, str):  # of fixed length: damaged heaps make the library hang
-                text = stored.encode()
-                stored = np.array(text, h5py.string_dtype("utf-8", len(text) or 1))
-            file.attrs[name] = stored
+            file.attrs[name] = _fixed(stored) if isinstance(stored, str) else stored
         for table in tables:
             _write_table(file, [table] if isinstance(table, Table) else table, pack)
 
@@ -343,6 +340,11 @@ class _Sink(io.FileIO):
         return len(view)
 
 
+def _fixed(text: str) -> NDArray[Any]:
+    """Return text of fixed length: damaged heaps of others make the HDF5 library hang."""
+    return np.array(text.encode(), h5py.string_dtype("utf-8", len(text.encode()) or 1))
+
+
 def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
     schema, rows = _shared_schema(parts), sum(part.rows for part in parts)
     group = file.require_group(schema.name) if schema.name else file
@@ -361,7 +363,7 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
             options = {**_PACKED, "chunks": (min(rows, fitting), *shape)}
         data = group.create_dataset(c.name, (rows, *shape), dtype, **options)
         if c.unit:
-            data.attrs["unit"] = c.unit
+            data.attrs["unit"] = _fixed(c.unit)
         for one in values:
             data[at : at + len(one)] = one
             at += len(one)
@@ -423,8 +425,8 @@ def format_of(path: str | os.PathLike[str]) -> str | None:
         return None
 
 
-def _attribute(file: h5py.File, name: str) -> Any:
-    """Read an attribute of the file: text, a number, or what its JSON holds."""
+def _attribute(file: h5py.HLObject, name: str) -> Any:
+    """Read an attribute of a file or column: text, a number, or what its JSON holds."""
     stored = file.attrs.get_id(name)  # a damaged one may declare any size
     if stored.shape != () or stored.dtype.kind not in "biufS":
         raise InvalidInput(f"attribute {name} is {stored.dtype} {stored.shape}, not text or number")
@@ -443,6 +445,10 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
         kind = _type_name(data.dtype)
         raise InvalidInput(f"column {column.name} is {kind}, should be {column.dtype}")
     require_stored(data, column.name)
+    # files that ship have units of variable length, which isn't read
+    is_fixed = "unit" in data.attrs and data.attrs.get_id("unit").dtype.kind == "S"
+    if is_fixed and _attribute(data, "unit") != column.unit:
+        raise InvalidInput(f"column {column.name} is in {_attribute(data, 'unit')!r}")
     offset = data.id.get_offset()
     if data.dtype.kind == "S":
         values: NDArray[Any] = np.strings.decode(np.asarray(data[()]), "utf-8").astype(np.str_)

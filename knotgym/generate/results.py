@@ -1,9 +1,10 @@
 """Results of an evaluation: one per policy and setup, printed beside reference scores."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -71,6 +72,11 @@ class Result:
         lengths = {len(self.outcomes.get(name, ())) for name in _OUTCOMES}
         if lengths != {self.episodes} or max(self.outcomes["success"]) > 1:
             raise InvalidInput("outcomes aren't columns of one whole number an episode")
+        told = self.successes, self.success_rate, self.low, self.high, self.steps
+        # as numbers, of which None is nan; sums of floats differ by machine
+        own, found = (np.array(one, np.float64) for one in (told, _totals(self.outcomes)))
+        if not np.allclose(own, found, equal_nan=True):
+            raise InvalidInput("its success rate, interval or steps aren't those of its outcomes")
 
     @classmethod
     def of(cls, policy: str, action: str, task: TaskConfig, played: Table) -> "Result":
@@ -82,10 +88,9 @@ class Result:
             task: the environment.
             played: rows of the episodes.
         """
-        success, length = played["success"], played["length"]
         named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
         listed = {name: (*played[of].astype(np.int64).tolist(),) for name, of in named.items()}
-        low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
+        successes, rate, low, high, steps = _totals(listed)
         (starts, goals), *_ = task_sides(task)
         return cls(
             policy=policy,
@@ -94,11 +99,11 @@ class Result:
             split=task.split,
             action=action,
             episodes=played.rows,
-            successes=int(success.sum()),
-            success_rate=float(success.mean()),
+            successes=successes,
+            success_rate=rate,
             low=low,
             high=high,
-            steps=float(length[success].mean()) if success.any() else None,
+            steps=steps,
             mean_return=float(played["return_"].mean()),
             planned_actions=float(played["planner_steps"].mean()),
             simulation_failures=int(played["diverged"].sum()),
@@ -106,6 +111,14 @@ class Result:
             goal_states=goals.origin,
             outcomes=listed,
         )
+
+
+def _totals(outcomes: Mapping[str, Sequence[int]]) -> tuple[int, float, float, float, float | None]:
+    """Return the number of successes, their rate, its interval, and the mean steps to one."""
+    success = np.array(outcomes["success"], bool)
+    low, high = cluster_interval(outcomes["success"], outcomes["start"], outcomes["goal"])
+    steps = float(np.array(outcomes["steps"])[success].mean()) if success.any() else None
+    return int(success.sum()), float(success.mean()), low, high, steps
 
 
 @contextmanager
@@ -117,7 +130,12 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
     """
     try:
         content = read_json(path)
-        yield content, [from_json(Result, one) for one in content["results"]]
+        results, config = [from_json(Result, one) for one in content["results"]], content["config"]
+        policies = [policy["policy"] for policy in config["policies"]]
+        setups = [*product(policies, *(config[name] for name in ("tasks", "splits", "nx")))]
+        if setups != [(one.policy, one.task, one.split, one.nx) for one in results]:
+            raise ValueError("its results aren't those of its configuration's setups")
+        yield content, results
     except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
         what = f"{path} isn't a file of `knotgym evaluate --out`"
         raise InvalidFile(f"{what}: {one_line(error)}") from error

@@ -60,7 +60,7 @@ def test_a_table_comes_back_as_it_was(tmp_path: Path, pack: bool) -> None:
     assert pack or not (flags.owndata or flags.writeable) and flags.aligned  # mapped
     with h5py.File(tmp_path / "rows.h5") as file:
         units = [{**file[SCHEMA.name][name].attrs} for name in ("points", "done")]
-    assert units == [{"unit": "m"}, {}]
+    assert units == [{"unit": b"m"}, {}]
 
 
 @pytest.mark.parametrize("rows", [0, 1, 7])
@@ -214,6 +214,10 @@ HARMED: dict[
     "other text": (put("code", [b"\xff"] * 5), "utf-8"),
     "another format": (attribute("format", np.bytes_("theirs")), "format 'theirs'"),
     "another version": (attribute("format_version", 2), "version 2; .* 1"),
+    "another unit": (
+        lambda file: file["rows/points"].attrs.update(unit=np.bytes_(b"k")),
+        "column points is in 'k'",
+    ),
     "a boolean version": (attribute("format_version", True), "version True"),
     "attribute of any length": (attribute("n", "a"), "attribute n is object"),
     "attribute to a terminal": (attribute("n", np.bytes_("\x1b")), "control characters"),

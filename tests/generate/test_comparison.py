@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from knotgym.common import InvalidFile
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, evaluate
@@ -55,3 +56,25 @@ def test_the_command_draws_each_difference(
     assert knotgym("compare", other, made[1]) == 0
     assert knotgym("compare", other) == 2 and "no two results" in capsys.readouterr().err
     assert knotgym("compare") == 2 and knotgym("compare", tmp_path / "none.h5") == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            '"policy": "random",\n   "task"',
+            '"policy": "ranLom",\n   "task"',
+            "aren't those of its configuration",
+        ),
+        ('"success_rate": 0.', '"success_rate": 0.1', "aren't those of its outcomes"),
+    ],
+)
+def test_results_that_their_file_contradicts_are_refused(
+    made: Made, tmp_path: Path, old: str, new: str, says: str
+) -> None:
+    text = made[1].read_text()
+    head, results = text[: text.index('"results"')], text[text.index('"results"') :]
+    assert old in results
+    (tmp_path / "scores.json").write_text(head + results.replace(old, new, 1))
+    with pytest.raises(InvalidFile, match=says):
+        _scores_in(tmp_path / "scores.json")
