@@ -122,7 +122,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: make(rope={"beads": 50}), "got 'beads'"),
     (lambda: make(rope={"joint_damping": -1.0}), "joint_damping must be at least 0"),
     (lambda: make(rope={"joint_damping": "soft"}), "must be a number"),
-    (lambda: make(rope={"radius": 0.004}), "this version of rope = {'radius': 0.004}"),
+    (lambda: make(rope={"radius": 0.004}), "for rope = {'radius': 0.004}"),
     (lambda: rope(beads=100.0), "beads"),
     (lambda: rope(sub_chains=1), "sub-chains"),
     (lambda: rope(radius=0.02), "bead"),
