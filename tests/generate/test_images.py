@@ -29,9 +29,7 @@ from ..small_job import knotgym
 
 ROOT = Path(__file__).parents[2]
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
-)
+pytest.importorskip("pyarrow")
 
 NOTHING = Limits(margin=1e6)
 CONFIG = ImagesConfig(
@@ -231,9 +229,8 @@ def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
 
 
 @pytest.mark.clients
-@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
 def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[str, Any]]) -> None:
-    from torch.utils.data import DataLoader, Subset
+    data_of = pytest.importorskip("torch.utils.data")
 
     assert load(folder, "train").max_nx == load(folder, "test-nx").max_nx == 2
     data = load(folder, max_nx=4)
@@ -244,8 +241,8 @@ def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[st
         assert str(GaussCode(tuple(visits))) == row["gauss_code"] and item["nx"] == row["nx"]
         assert (item["visits"].shape, item["crossings"].shape) == ((8,), (4, 4))
     small = [k for k, item in enumerate(data) if item["image"].shape[-1] == 64]
-    seen = [batch["image"] for batch in DataLoader(Subset(data, small), 4, num_workers=2)]
-    assert sum(map(len, seen)) == len(small)
+    batches = data_of.DataLoader(data_of.Subset(data, small), 4, num_workers=2)
+    assert sum(len(batch["image"]) for batch in batches) == len(small)
     with pytest.raises(InvalidFile, match="max_nx must be at least"):
         load(folder, max_nx=1)
 

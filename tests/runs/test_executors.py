@@ -1,6 +1,5 @@
-"""Executors: processes that leave interrupts to their parent, and Dask clusters."""
+"""Executors: Dask clusters, which lose workers or all."""
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -21,16 +20,13 @@ from ..scripts import ROOT
 from ..small_job import SECONDS
 from .recipes import RECIPES, content
 
-with_dask = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed"
-)
+pytest.importorskip("distributed")
 
 
 def on(scheduler: str) -> RunOptions:
     return RunOptions(scheduler=scheduler, quiet=True)
 
 
-@with_dask
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://127.0.0.1:port"])
 def test_a_scheduler_that_does_not_answer_is_one_line(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -77,7 +73,6 @@ def cluster(room: Path) -> Iterator[Cluster]:
             process.wait()
 
 
-@with_dask
 @pytest.mark.parametrize("name", ["toy", "images"])
 def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -94,7 +89,6 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
     assert content(there) == content(here)
 
 
-@with_dask
 def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,7 +106,6 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     RECIPES["toy"](tmp_path / "a", RunOptions(workers=1, resume=True))
 
 
-@with_dask
 def test_a_worker_of_another_version_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "other.py").write_text("import knotgym\nknotgym.__version__ = '0.0.9'\n")
     with cluster(tmp_path) as dask:
