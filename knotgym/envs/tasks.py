@@ -174,7 +174,7 @@ class TaskConfig:
         if max(self.crossings) > (most := self.most_nx(self.beads)):
             raise InvalidInput(f"nx must be from 1 to {most} on {self.beads} beads, got {self.nx}")
         if self.split in CODE_SPLITS and min(self.crossings) < 2:
-            raise InvalidInput(f"split {self.split!r} needs nx of at least 2, got {self.nx}")
+            raise InvalidInput(f"with split {self.split!r} use an nx of at least 2, got {self.nx}")
         if self.engine != MUJOCO and self.integrator_steps != 24:
             raise InvalidInput(f"integrator_steps are steps of MuJoCo, not of {self.engine!r}")
         plain = self.views == ("top",) and not self.depth and self.camera == "orthographic"
