@@ -258,6 +258,11 @@ def test_without_a_key_the_public_server_is_not_asked(monkeypatch: pytest.Monkey
     assert reply.text == WORDS and server.keys == [""]
 
 
+def test_a_placeholder_for_a_key_is_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", "pull")
+    assert asked(always(WORDS))[0].text == WORDS
+
+
 def test_a_key_in_the_base_url_is_refused() -> None:
     with pytest.raises(InvalidInput, match="--base-url") as refused:
         Chat(ChatConfig(model="m", base_url=f"http://127.0.0.1:1/{KEY}/v1"))

@@ -38,5 +38,6 @@ def test_the_page_shows_the_whole_prompt_of_every_mode(mode: Any) -> None:
     task = TaskConfig(task="tie", image_size=16)
     config = PromptConfig(mode=mode, chat=ChatConfig(model="m"), task=task)
     rows = [{"image": encode(decode(FIRST.png)[:16, :16])}] if mode == READ else []
-    text, _ = sample_prompt(config, rows)
+    text, pictures = sample_prompt(config, rows)
+    assert pictures["picture-1"] == FIRST.png and f"[{[*pictures][-1]}]" in text
     assert f"```text\n{text}```\n" in (DOCS / "prompting.md").read_text(encoding="utf-8")

@@ -2,9 +2,11 @@
 --resume finishes with the same bytes.
 """
 
+import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from knotgym.runs.executors import executor
+
+from ..scripts import ROOT
 from ..small_job import SECONDS, knotgym, typed, wait_for_file
 
 COLLECT = (
@@ -76,6 +81,23 @@ def test_asked_to_stop_it_says_so_once_and_leaves_its_work_at_most(
     assert error.startswith("knotgym: interrupted before all output ")
     assert "--resume to go on, or with --restart" in error
     assert all(path.name.startswith(".") for path in tmp_path.iterdir())
+
+
+def _interruptible(_: int) -> bool:
+    """Whether a Ctrl-C would reach this process."""
+    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def _print_interruptible() -> None:
+    with executor(2) as pool:
+        print(json.dumps([*pool.map(_interruptible, range(2)), _interruptible(0)]))
+
+
+@pytest.mark.slow
+def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment_on() -> None:
+    words = [sys.executable, "-c", f"from {__name__} import _print_interruptible as told; told()"]
+    told = subprocess.run(words, capture_output=True, text=True, timeout=SECONDS, cwd=ROOT).stdout
+    assert json.loads(told) == [False, False, True]
 
 
 def children(process: int) -> list[int]:
