@@ -425,7 +425,7 @@ def format_of(path: str | os.PathLike[str]) -> str | None:
         return None
 
 
-def _attribute(file: h5py.HLObject, name: str) -> Any:
+def _attribute(file: h5py.HLObject, name: str, is_json: bool = True) -> Any:
     """Read an attribute of a file or column: text, a number, or what its JSON holds."""
     stored = file.attrs.get_id(name)  # a damaged one may declare any size
     if stored.shape != () or stored.dtype.kind not in "biufS":
@@ -434,7 +434,8 @@ def _attribute(file: h5py.HLObject, name: str) -> Any:
     value = value.decode() if isinstance(value, bytes) else value.item()
     if not f"{name}{value}".isprintable():
         raise InvalidInput(f"attribute {name!r} holds control characters")
-    return json.loads(value) if isinstance(value, str) and value[:1] in ("{", "[") else value
+    is_json &= isinstance(value, str) and value[:1] in ("{", "[")
+    return json.loads(value) if is_json else value
 
 
 def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[Any]:
@@ -447,8 +448,8 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
     require_stored(data, column.name)
     # files that ship have units of variable length, which isn't read
     is_fixed = "unit" in data.attrs and data.attrs.get_id("unit").dtype.kind == "S"
-    if is_fixed and _attribute(data, "unit") != column.unit:
-        raise InvalidInput(f"column {column.name} is in {_attribute(data, 'unit')!r}")
+    if is_fixed and (unit := _attribute(data, "unit", is_json=False)) != column.unit:
+        raise InvalidInput(f"column {column.name} is in {unit!r}")
     offset = data.id.get_offset()
     if data.dtype.kind == "S":
         values: NDArray[Any] = np.strings.decode(np.asarray(data[()]), "utf-8").astype(np.str_)

@@ -19,7 +19,7 @@ SCHEMA = Schema(
     "rows",
     (
         Column("points", "float64", ("beads", 3), "m", "where", finite=True),
-        Column("source/seed", "int64", (), "", "seed", least=0),
+        Column("source/seed", "int64", (), "[0, 9]", "seed", least=0),
         Column("code", "text", (), "", "Gauss code"),
         Column("done", "bool"),
         Column("score", "float32", optional=True),
