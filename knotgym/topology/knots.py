@@ -19,9 +19,8 @@ A knot type is a name regardless of handedness: both trefoils are "3_1", and "3_
 granny knot and the square knot. A diagram of up to 10 crossings is identified by its polynomials,
 or because it is in the table.
 
-After a change run `pytest tests/topology/test_knots.py tests/topology/test_knot_table.py`: no hard
-unknot may be called knotted, and both polynomials of all 249 knots must be those of KnotInfo's own
-columns.
+After a change run `pytest tests/topology/test_knots.py`: no hard unknot may be called knotted, and
+both polynomials of all 249 knots must be those of KnotInfo's own columns.
 """
 
 import json

@@ -7,8 +7,8 @@ sums are then ordinary integer arithmetic.
 Conventions: the Alexander polynomial is symmetric and 1 at t = 1. The Jones polynomial is in t, and
 that of the right-handed trefoil is t + t^3 - t^4.
 
-After a change run `pytest tests/topology/test_knots.py tests/topology/test_knot_table.py`: all 249
-knots of the table must keep their names, and hard unknots stay unknots.
+After a change run `pytest tests/topology/test_knots.py`: all 249 knots of the table must keep their
+names, and hard unknots stay unknots.
 """
 
 from functools import lru_cache

@@ -94,25 +94,14 @@ def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> No
 
 def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
     class Tiny(Training):
-        def advance(self) -> None:
-            self._minimize(self.network(torch.ones(1, 2)).sum())
-
-        def ended(self) -> Any:
-            raise NotImplementedError
+        def advance(self) -> None: ...
+        def ended(self) -> Any: ...
 
     def tiny() -> Tiny:
         return Tiny(torch.nn.Linear(2, 1), 0.1, 0.0, 4)
 
     training, path = tiny(), tmp_path / "checkpoint"
-    training.advance()
     training._save(path)
-    again = tiny()
-    again._restore(path)
-    assert again.step == 1
-    training.advance()
-    again.advance()
-    for name, own in training.network.state_dict().items():
-        assert torch.equal(own, again.network.state_dict()[name])
     raw = bytearray(path.read_bytes())
     raw[-5] ^= 1
     path.write_bytes(raw)

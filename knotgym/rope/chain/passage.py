@@ -8,7 +8,7 @@ substep is accepted only if this holds for all pairs of edges that aren't neighb
 polyline was moved by an isotopy, and the knot is the same. (Neighbours share a vertex; they could
 only meet by folding flat onto each other, which a motion misses.)
 
-After a change run `pytest -m thorough tests/rope/chain/test_contact_twins.py`: what is accepted
+After a change run `pytest -m thorough tests/rope/chain/test_chain_equations.py`: what is accepted
 must be proved for every pair of edges; then `python benchmarks/passages.py`: no passage,
 and no knot changes.
 """
