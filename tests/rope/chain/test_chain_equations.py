@@ -2,8 +2,6 @@
 plainly in NumPy.
 """
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numba import njit
@@ -82,10 +80,9 @@ def across(side: Array, tangent: Array) -> Array:
     return side / np.linalg.norm(side, axis=1, keepdims=True)
 
 
-def dense(
-    tangent: Array, side: Array, v: Array, spin: Array, pull: Array, h: float, physics: Physics
-) -> tuple[Array, Array]:
+def dense(given: list[Array], h: float, physics: Physics) -> tuple[Array, Array]:
     """Velocities and spins after a substep of one rope, see `dynamics`."""
+    tangent, side, v, spin, pull = given
     mass, transverse, roll_mass, length, *drag, stretch, damping = physics[:10]
     across, along, turn, roll = drag
     matrix, right = np.zeros((4 * N, 4 * N)), np.zeros(4 * N)
@@ -137,8 +134,8 @@ def test_a_substep_solves_the_equations_of_motion(rope: Rope) -> None:
     side, step = across(side, tangent), np.linspace(0.005, 0.03, LANES)[None]
     *_, free = solved(tangent, side, v, spin, pull, step, physics)
     for lane in (0, LANES - 1):
-        own: list[Any] = [one[..., lane] for one in (tangent, side, v, spin, pull)]
-        told, told_spin = dense(*own, step[0, lane], physics)
+        own = [one[..., lane] for one in (tangent, side, v, spin, pull)]
+        told, told_spin = dense(own, step[0, lane], physics)
         assert np.abs(velocities(free)[..., lane] - told).max() < 1e-8 * np.abs(told).max()
         assert np.abs(free[:N, 3, lane] - told_spin).max() < 1e-8 * np.abs(told_spin).max()
 
