@@ -2,8 +2,7 @@
 
 Reset noise keeps the rope closed; at reset it also keeps the Gauss code, chirality included.
 
-After a change run `pytest tests/rope/test_rope.py tests/rope/test_reset_noise.py` and `-m slow`
-there: of 10,000 resets none may lose its code.
+After a change run `pytest tests/rope/test_rope.py`: no reset may lose its code.
 """
 
 from __future__ import annotations

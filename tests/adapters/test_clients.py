@@ -79,9 +79,17 @@ def test_readme_gives_lines_of_that_page() -> None:
         assert all(line in SECTIONS[client] for line in re.findall(r"`(.+?)`", lines)), client
 
 
-def run_lines(client: str, room: Path) -> None:
-    """Run the page's commands and code for a client."""
+PLAYED = ("Minari", "TorchRL", "OGBench", "LeRobot")  # read datasets, those played by hand, too
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize(
+    ("client", "home"),
+    [*((one, "room") for one in NEEDS), *((one, "played_room") for one in PLAYED)],
+)
+def test_the_lines_of_the_page_run(client: str, home: str, request: pytest.FixtureRequest) -> None:
     pytest.importorskip(NEEDS[client])
+    room = request.getfixturevalue(home)
     environment = {
         **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
         "HOME": str(room),
@@ -103,18 +111,6 @@ def run_lines(client: str, room: Path) -> None:
     for words in [*commands, *([sys.executable, "-c", block] for block in blocks)]:
         ended = subprocess.run(words, cwd=room, env=environment, capture_output=True, text=True)
         assert ended.returncode == 0, ended.stderr[-2000:]
-
-
-@pytest.mark.clients
-@pytest.mark.parametrize("client", [*NEEDS])
-def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
-    run_lines(client, room)
-
-
-@pytest.mark.clients
-@pytest.mark.parametrize("client", ["Minari", "TorchRL", "OGBench", "LeRobot"])
-def test_every_reader_of_datasets_takes_a_hand_played_one(client: str, played_room: Path) -> None:
-    run_lines(client, played_room)
 
 
 @pytest.mark.clients

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
@@ -8,14 +10,28 @@ from knotgym.control.planning.pulls import _drawn_index, guide_to
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass
-from knotgym.topology import GaussCode, Symmetry, images
+from knotgym.topology import GaussCode, Symmetry, find_crossings, images
 
 FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
 LOOP, KINKED = Diagram(FLAT, (0,)), Diagram(KINK, (1, 2))
 GOAL = GaussCode.parse("1+c,1-c,2+a,2-a")
 KINKED_TWICE = GaussCode.parse("1+,1-,2+,2-")
 THREE = GaussCode.parse("1+c,1-c,2+a,2-a,3+c,3-c")
+ANGLES = np.linspace(0, 2 * np.pi, 40, endpoint=False)
 SELDOM, OFTEN = PassTemplate(AT, 20, 80, 1), PassTemplate(AT, 40, 80, 1)
+
+
+@pytest.fixture(scope="session")
+def curve() -> Array:
+    """A curve of three crossings: two loops, one inside, and a strand over both."""
+    return np.stack(
+        [
+            np.cos(ANGLES) + 0.9 * np.cos(2 * ANGLES + 0.3),
+            np.sin(ANGLES) - 0.8 * np.sin(2 * ANGLES),
+            0.1 * np.cos(3 * ANGLES + 0.5),
+        ],
+        axis=1,
+    )
 
 
 def made_up() -> PassValues:
@@ -107,6 +123,45 @@ def test_splits_by_code_have_an_order_of_their_own() -> None:
     assert one and other and one != other
     every = PassValues.of_split("train", every_code=True)
     assert every.reach(GaussCode.parse("1+,1-,2+,2-,3+,4-,4+,3-"), LOOP) > 0.01
+
+
+# sights of ropes
+
+
+def diagram_of(points: Array) -> Diagram:
+    return Sight.of(points[None])[0].diagram
+
+
+@given(reverse=st.booleans(), switch=st.booleans(), reflect=st.booleans(), turn=st.floats(0, 6.28))
+def test_a_symmetry_of_the_rope_is_the_same_symmetry_of_its_diagram(
+    curve: Array, reverse: bool, switch: bool, reflect: bool, turn: float
+) -> None:
+    moved = Symmetry(reflect=reflect, switch=switch, turn=turn, reverse=reverse)
+    image = diagram_of(moved.vertices(curve))
+    assert image == diagram_of(curve).image(4 * reverse + 2 * switch + reflect)
+    assert image.nx >= 2
+    assert image.canonical()[0] == diagram_of(curve).canonical()[0]
+
+
+def test_a_kink_inside_the_loop_is_told_from_one_outside() -> None:
+    radius, height = 1 + 1.8 * np.cos(ANGLES), 0.1 * np.sin(ANGLES + 1)
+    inside = np.stack([radius * np.cos(ANGLES), radius * np.sin(ANGLES), height], axis=1)
+    eight = np.stack([np.sin(2 * ANGLES + 0.1), np.sin(ANGLES + 0.05), height], axis=1)
+    one, other = diagram_of(inside), diagram_of(eight)
+    assert one.nx == other.nx == 1
+    assert len(one.outer) == 1 and len(other.outer) == 2
+
+
+def test_arcs_end_where_crossings_are_visited(curve: Array) -> None:
+    (sight,), crossings = Sight.of(curve[None]), find_crossings(curve)
+    visits = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
+    assert list(sight.cuts) == [0.0, *visits, 40.0]
+
+
+def test_a_bead_is_where_its_position_says(curve: Array) -> None:
+    (sight,) = Sight.of(curve[None])
+    assert [sight.bead(sight.position(bead)) for bead in range(40)] == list(range(40))
+    assert sight.bead(-1.0) == 0 and sight.bead(99.0) == sight.bead(2 * sight.diagram.nx + 1)
 
 
 # guidance of single pulls
