@@ -11,8 +11,8 @@ itself is spared.
 A film shows a rope beside its goal, with their codes below. It is mp4, webm or gif, and all of them
 play in a browser: .mp4 files hold H.264 and .webm files VP9, both encoded by PyAV (extra `video`).
 
-After a change run `pytest tests/rendering/test_diagram.py`: gaps must be where strands go under, and
-smoothing must leave the code alone.
+After a change run `pytest tests/rendering/test_diagram.py`: gaps must be where strands go under,
+and smoothing must leave the code alone.
 """
 
 import os

@@ -2,8 +2,8 @@
 
 A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...).
 
-After a change run `pytest tests/rope/test_simulations.py`: a rope of a batch must move as in MuJoCo's
-own loop, to the bit.
+After a change run `pytest tests/rope/test_simulations.py`: a rope of a batch must move as in
+MuJoCo's own loop, to the bit.
 """
 
 from collections.abc import Callable

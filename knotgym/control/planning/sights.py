@@ -8,8 +8,8 @@ Arcs are the stretches between consecutive visits of crossings. Arc 0 runs from 
 first visit, the last arc from the last visit back to the base bead, so a code of nx crossings has
 2 nx + 1 arcs. A *position* is an arc plus a fraction: 2.25 is a quarter of the way along arc 2.
 
-After a change run `pytest tests/control/planning/test_passes.py`: a symmetry of the rope must be the
-same symmetry of its diagram.
+After a change run `pytest tests/control/planning/test_passes.py`: a symmetry of the rope must be
+the same symmetry of its diagram.
 """
 
 from __future__ import annotations
