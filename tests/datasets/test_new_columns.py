@@ -17,6 +17,7 @@ def height(shown):
 
 new = Column("height", "float32", (), "m", "of the highest bead", optional=True, {how})
 schemas.STEPS = schemas.STEPS._replace(columns=(*schemas.STEPS.columns, new))
+schemas.FORMS["columns"] = schemas.EPISODES, schemas.STEPS
 """
 PLAYED = """
 import knotgym
