@@ -97,8 +97,9 @@ def _distinct_id(config: CollectConfig) -> str:
         file = resolve_states(task.states)
         states = f"states{sha256(file)[:8]}" if file.is_file() else ""
     marked = ("task", "nx", "split", "states", "engine", "observation")
-    plain = TaskConfig(**{name: getattr(task, name) for name in marked})
-    rules = list(differences(as_json(plain), as_json(task)))
+    own = as_json(task)
+    plain = {**as_json(TaskConfig(task="tie")), **{name: own[name] for name in marked}}
+    rules = list(differences(plain, own))
     if config.labels or policy.plans:
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
