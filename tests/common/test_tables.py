@@ -139,7 +139,8 @@ def test_the_digest_depends_on_names_types_shapes_and_values() -> None:
         for name, dtype, rows in (("a", "int64", 2), ("a", "int64", 3), ("b", "int64", 2))
         + (("a", "uint64", 2),)
     ]
-    assert len({Table.digest(one) for one in (table().take([0]), *others)}) == 5
+    texts = [table().take([1]).replaced(code=np.array([code])) for code in ("1+,1-", "1-,1+")]
+    assert len({Table.digest(one) for one in (table().take([0]), *others, *texts)}) == 7
 
 
 @pytest.mark.parametrize(

@@ -95,3 +95,18 @@ def test_states_beyond_the_tow_limit_are_no_goals() -> None:
     points[2:] += 1
     made = made._replace(steps=made.steps.replaced(observation=points))
     assert made.goals_reached(tow_limit=0.5)[1].tolist() == [1]
+
+
+def test_episodes_are_the_same_if_start_goal_and_pulls_are() -> None:
+    made = episodes([2])
+    own, steps = made
+    codes = code_rows([GaussCode.parse("1+a,1-a")], 4), code_rows([GaussCode.parse("1-c,1+c")], 4)
+    others = [
+        *(made._replace(episodes=own.replaced(goal_visits=code)) for code in codes),
+        made._replace(episodes=own.replaced(goal=own["goal"] + 1)),
+        made._replace(episodes=own.replaced(start_qpos=-own["start_qpos"])),
+        made._replace(steps=steps.replaced(force=-steps["force"])),
+    ]
+    assert len({one.digests()[0] for one in others}) == 5
+    policy = np.full(1, "another")
+    assert made._replace(episodes=own.replaced(policy=policy)).digests() == made.digests()

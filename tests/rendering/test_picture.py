@@ -136,6 +136,8 @@ def test_the_base_bead_is_white_and_the_rope_runs_towards_red() -> None:
     assert colours.dtype == np.uint8 and colours.shape == (100, 3)
     assert colours[0].tolist() == [255, 255, 255]
     assert np.all(np.diff(colours[1:26, 0].astype(int)) >= 0) and colours[25, 0] == 255
+    # green is brightest a third of a turn before red, blue two thirds, as published
+    assert colours[[92, 58]].tolist() == [[66, 255, 59], [66, 59, 255]]
 
 
 # Camera
