@@ -42,3 +42,9 @@ def test_packed_circles_draw_the_triangulation_without_folds(outer: int) -> None
     a, b, c = pack_circles(of.triangles, of.rim, of.nodes)[of.triangles].transpose(1, 2, 0)
     turn = (b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]
     assert turn.min() > 0
+
+
+def test_loops_are_drawn_in_both_directions() -> None:
+    loops = [drawn_curve(GaussCode.parse(""), np.random.default_rng(k)) for k in range(8)]
+    areas = [np.linalg.det(np.stack([p[0, :2], p[1, :2]])) for p in loops]  # round the origin
+    assert min(areas) < 0 < max(areas)
