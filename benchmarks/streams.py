@@ -1,7 +1,7 @@
 """What a stream is for: learners on sets of fixed size and on a stream, at equal updates.
 
     python benchmarks/streams.py ROOM SET...
-    python benchmarks/streams.py ROOM --photos 600,2400
+    python benchmarks/streams.py ROOM --photos 200,800
 
 Attention is cloned on each SET, a dataset's folder, all of one configuration but for their size,
 such as two sizes of a cell of the suite; the stream plays what that of the last one says. Writes a
@@ -32,7 +32,7 @@ from knotgym.rope import CHAIN
 WIDTH, PATCHES, PULLS = 96, 10, 40  # of the network; numbers of a decision after its bead
 UPDATES, BATCH = 400, 128
 REPEATS = 8  # batches of a block of 64 episodes, and how often all photos of the stream are seen
-PHOTO_UPDATES, CROSSINGS = 1200, (0, 1, 2, 3, 4)
+PHOTO_UPDATES, CROSSINGS = 400, (0, 1, 2, 3, 4)
 VIEW: Any = {"observation": "marked", "action": "decision", "frame": "canonical"}
 MODULE = """import torch
 from knotgym.loaders import as_policy
@@ -107,7 +107,7 @@ def photos(sizes: list[int]) -> None:
         [(torch.from_numpy(one["image"]), torch.from_numpy(one["nx"])) for one in batches]
         for batches in (
             islice(stream(config, 0, batch=64, block=512, repeats=8), PHOTO_UPDATES // REPEATS),
-            islice(stream(config, 1, batch=64, block=512, repeats=8), 32),
+            islice(stream(config, 1, batch=64, block=512, repeats=8), 16),
         )
     )
     for size in [*sizes, 64 * len(seen)]:
