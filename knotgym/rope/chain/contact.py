@@ -35,19 +35,8 @@ from knotgym.common import inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System, forward
 from knotgym.rope.chain.layout import Physics
-from knotgym.rope.chain.simd import (
-    LANES,
-    along,
-    any_below,
-    dot,
-    fma,
-    load,
-    minus,
-    norm,
-    put,
-    vector,
-    where_below,
-)
+from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.vectors import along, dot, minus, norm, vector
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -45,20 +45,8 @@ from knotgym.common import inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System
 from knotgym.rope.chain.layout import Physics
-from knotgym.rope.chain.simd import (
-    LANES,
-    along,
-    cross,
-    dot,
-    fma,
-    load,
-    minus,
-    norm,
-    put,
-    put_vector,
-    unit,
-    vector,
-)
+from knotgym.rope.chain.simd import LANES, fma, load, put
+from knotgym.rope.chain.vectors import along, cross, dot, minus, norm, put_vector, unit, vector
 
 Array = NDArray[np.float64]
 

@@ -32,18 +32,8 @@ from knotgym.rope.chain.contact import (
     middles,
     sharpness,
 )
-from knotgym.rope.chain.simd import (
-    LANES,
-    any_below,
-    dot,
-    fma,
-    load,
-    minus,
-    norm,
-    put,
-    vector,
-    where_below,
-)
+from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.vectors import dot, minus, norm, vector
 
 Array = NDArray[np.float64]
 

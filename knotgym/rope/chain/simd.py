@@ -5,12 +5,8 @@ arrays along a last axis of length LANES, `load` and `put` take them out and in.
 products, quotients, `math.sqrt`, `abs`, `min` and `max` go lane by lane, with plain numbers too; so
 no lane can tell what the others hold.
 
-A vector is a tuple (x, y, z) of lanes. Its products are summed from z to x, each rounded once by
-`fma`, and always in this order: another one would round otherwise, and recorded episodes would no
-longer repeat.
-
-After a change run `pytest tests/rope/chain` and `knotgym suite --recorded`: lanes must give the
-bits of plain numbers, and recordings that ship be rebuilt to the bit.
+After a change run `pytest tests/rope/chain/test_simd.py`: lanes must give the bits of plain
+numbers.
 """
 
 import math
@@ -19,16 +15,12 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numba
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.core.typing.templates import AbstractTemplate, Signature, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, register_model
-from numpy.typing import NDArray
-
-from knotgym.common import inner
 
 # Numba's own classes, which this module uses, may change with any version; pyproject.toml has the
 # same bounds. Tested were 0.61.2 and 0.68.1.
@@ -229,67 +221,3 @@ def count_up(typing: Any, count: Any) -> Any:
         return builder.atomic_rmw("add", held.data, one, "monotonic")
 
     return types.int64(count), _emit
-
-
-Array = NDArray[np.float64]
-Vector = tuple[Any, Any, Any]  # lanes
-
-
-@inner
-def vector(array: Array, i: int) -> Vector:
-    """Load row i of an array (n, 3, LANES)."""
-    return load(array, (i, 0)), load(array, (i, 1)), load(array, (i, 2))
-
-
-@inner
-def put_vector(array: Array, i: int, a: Vector) -> None:
-    """Write row i of an array (n, 3, LANES)."""
-    put(array, (i, 0), a[0])
-    put(array, (i, 1), a[1])
-    put(array, (i, 2), a[2])
-
-
-@inner
-def minus(a: Vector, b: Vector) -> Vector:
-    """Return a - b."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@inner
-def along(a: Vector, way: Any, b: Vector) -> Vector:
-    """Return a + way * b."""
-    # one rounding for each component, where a product and a sum would take two
-    return fma(way, b[0], a[0]), fma(way, b[1], a[1]), fma(way, b[2], a[2])
-
-
-@inner
-def dot(a: Vector, b: Vector) -> Any:
-    """Return a . b."""
-    # z first: the innermost product is the only one that is rounded by itself
-    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
-
-
-@inner
-def cross(a: Vector, b: Vector) -> Vector:
-    """Return a x b."""
-    return (
-        # the second product is rounded, the first is not; both orders are right, this one is
-        # recorded
-        fma(a[1], b[2], -a[2] * b[1]),
-        fma(a[2], b[0], -a[0] * b[2]),
-        fma(a[0], b[1], -a[1] * b[0]),
-    )
-
-
-@inner
-def norm(a: Vector) -> Any:
-    """Return |a|."""
-    return math.sqrt(dot(a, a))
-
-
-@inner
-def unit(a: Vector) -> Vector:
-    """Return a / |a|."""
-    # One division instead of three; the length is 1 up to a few roundings.
-    shrink = 1.0 / norm(a)
-    return shrink * a[0], shrink * a[1], shrink * a[2]

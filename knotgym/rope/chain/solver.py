@@ -39,18 +39,8 @@ from knotgym.rope.chain.contact import (
 from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents, turn_sides
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.passage import judge
-from knotgym.rope.chain.simd import (
-    LANES,
-    along,
-    any_below,
-    count_up,
-    dot,
-    load,
-    minus,
-    put,
-    put_vector,
-    vector,
-)
+from knotgym.rope.chain.simd import LANES, any_below, count_up, load, put
+from knotgym.rope.chain.vectors import along, dot, minus, put_vector, vector
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
