@@ -1,14 +1,10 @@
-"""What a stream is for: learners on sets of fixed size and on a stream, at equal updates.
+"""What a stream is for: attention, cloned on sets of fixed size and on a stream, at equal updates.
 
     python benchmarks/streams.py ROOM SET...
-    python benchmarks/streams.py ROOM --photos 200,800
 
-Attention is cloned on each SET, a dataset's folder, all of one configuration but for their size,
-such as two sizes of a cell of the suite; the stream plays what that of the last one says. Writes a
-policy of each into ROOM and prints its success rate on new states, and the CPU seconds of training.
-
-With --photos a small convolutional network counts the crossings of photos, of 0 to 4: of the first
-so many of a stream, and of all; the score is that on photos of another seed.
+Each SET is a dataset's folder, all of one configuration but for their size, such as two sizes of a
+cell of the suite; the stream plays what that of the last one says. Writes a policy of each into
+ROOM and prints its success rate on new states, and the CPU seconds of training.
 """
 
 import argparse
@@ -16,7 +12,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +19,12 @@ import numpy as np
 
 from knotgym.common import from_json
 from knotgym.datasets import open_episodes
-from knotgym.generate import CollectConfig, ImagesConfig
+from knotgym.generate import CollectConfig
 from knotgym.loaders import arrays, stream
-from knotgym.rendering import AppearanceConfig
-from knotgym.rope import CHAIN
 
 WIDTH, PATCHES, PULLS = 96, 10, 40  # of the network; numbers of a decision after its bead
 UPDATES, BATCH = 400, 128
-REPEATS = 8  # batches of a block of 64 episodes, and how often all photos of the stream are seen
-PHOTO_UPDATES, CROSSINGS = 400, (0, 1, 2, 3, 4)
+REPEATS = 8  # batches of a block of 64 episodes
 VIEW: Any = {"observation": "marked", "action": "decision", "frame": "canonical"}
 MODULE = """import torch
 from knotgym.loaders import as_policy
@@ -95,57 +87,17 @@ def trained(batches: Iterator[dict[str, Any]]) -> Any:
     return network.eval()
 
 
-def photos(sizes: list[int]) -> None:
-    """Print how often a network counts crossings right that saw photos of fixed sets, and all."""
-    import torch
-    from torch import nn
-    from torch.nn.functional import cross_entropy
-
-    look = AppearanceConfig(name="photo", sizes=(64,))
-    config = ImagesConfig(nx=CROSSINGS, test_nx=None, engine=CHAIN, appearance=look)
-    seen, new = (
-        [(torch.from_numpy(one["image"]), torch.from_numpy(one["nx"])) for one in batches]
-        for batches in (
-            islice(stream(config, 0, batch=64, block=512, repeats=8), PHOTO_UPDATES // REPEATS),
-            islice(stream(config, 1, batch=64, block=512, repeats=8), 16),
-        )
-    )
-    for size in [*sizes, 64 * len(seen)]:
-        own = seen[: -(-size // 64)]
-        torch.manual_seed(0)
-        layers: list[nn.Module] = []
-        for wide, out in pairwise((3, 24, 48, 96, 128)):
-            layers += [nn.Conv2d(wide, out, 3, 2, 1), nn.BatchNorm2d(out), nn.ReLU()]
-            layers += [nn.Conv2d(out, out, 3, 1, 1), nn.BatchNorm2d(out), nn.ReLU()]
-        network = nn.Sequential(*layers, nn.Flatten(), nn.Linear(128 * 16, len(CROSSINGS)))
-        optimizer = torch.optim.AdamW(network.parameters(), 1e-3, weight_decay=0.02)
-        rate = torch.optim.lr_scheduler.OneCycleLR(optimizer, 2e-3, PHOTO_UPDATES)
-        for update in range(PHOTO_UPDATES):
-            image, nx = own[update % len(own)]
-            optimizer.zero_grad()
-            cross_entropy(network(image / 255.0), nx).backward()
-            optimizer.step()
-            rate.step()
-        network.eval()
-        with torch.no_grad():
-            right = [network(image / 255.0).argmax(1) == nx for image, nx in new]
-        print(f"{size} photos: {100 * torch.cat(right).float().mean():.1f} %", flush=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("room", type=Path)
-    parser.add_argument("sets", type=Path, nargs="*")
-    parser.add_argument("--photos", type=lambda text: [int(one) for one in text.split(",")])
+    parser.add_argument("sets", type=Path, nargs="+")
     given = parser.parse_args()
     import torch
 
     room, sets = given.room, given.sets
     torch.set_num_threads(1)
-    if given.photos:
-        return photos(given.photos)
     torch.backends.mha.set_fastpath_enabled(False)  # it can't be traced
     config: Any = from_json(CollectConfig, open_episodes(sets[-1]).attributes["run"]["config"])
     endless = stream(config, config.seed, batch=BATCH, repeats=REPEATS, **VIEW)
