@@ -39,7 +39,7 @@ _HEAD = {"format": "knotgym journal", "format_version": 3}
 _RUN, _PART, _SUFFIX = "run.json", ".part", ".npy"
 _KINDS = "biufUS"  # kinds of dtypes; objects would have to be unpickled
 _MAPPED = 1 << 18  # bytes; smaller files are read, larger ones mapped
-_LONGEST, _SUM = 1 << 14, 4  # bytes of a record's header and of its checksum
+_LONGEST, _SUM = 1 << 16, 4  # bytes of a record's header, NumPy's most, and of its checksum
 
 
 class Journal(ChainMap[str, Result]):
@@ -240,7 +240,7 @@ def _read(path: Path, check: bool = True) -> Result | None:
             return None
         head = io.BytesIO(data[:_LONGEST])
         is_known = np.lib.format.read_magic(head) == (1, 0)
-        shape, _, dtype = np.lib.format.read_array_header_1_0(head)
+        shape, _, dtype = np.lib.format.read_array_header_1_0(head, _LONGEST)
         if not is_known or dtype.names is None or dtype.hasobject:
             return None
         record = np.ndarray(shape, dtype, data, head.tell())

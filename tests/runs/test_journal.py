@@ -52,6 +52,14 @@ def test_results_come_back_as_they_were_and_read_only(tmp_path: Path) -> None:
     np.testing.assert_array_equal(record["file"], RESULT["file"])
 
 
+def test_a_result_of_many_arrays_comes_back(tmp_path: Path) -> None:
+    """NumPy reads headers of 10,000 bytes unless told otherwise, and writes longer ones."""
+    with Journal(tmp_path / "j", RUN) as journal:
+        journal["rows"] = {f"quality/column {k}": np.full(2, k) for k in range(500)}
+    with Journal(tmp_path / "j", RUN) as journal:
+        assert len(journal["rows"]) == 500
+
+
 def test_any_key_is_kept_inside_the_folder(tmp_path: Path) -> None:
     keys = ["../out", ".part", "run.json", "a/b", "request 1 0:0f", "%2F", "über", "", "checkpoint"]
     with Journal(tmp_path / "j", RUN) as journal:
