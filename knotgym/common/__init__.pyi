@@ -7,8 +7,9 @@ from .atomic_files import require_own as require_own
 from .atomic_files import require_regular as require_regular
 from .atomic_files import sha256 as sha256
 from .atomic_files import sweep as sweep
-from .compiled import inlined as inlined
-from .compiled import inner as inner
+from .computing import Threads as Threads
+from .computing import inlined as inlined
+from .computing import inner as inner
 from .configurations import Distinct as Distinct
 from .configurations import Mark as Mark
 from .configurations import Seed as Seed
@@ -42,4 +43,3 @@ from .tables import padded as padded
 from .tables import read_tables as read_tables
 from .tables import require_stored as require_stored
 from .tables import write_tables as write_tables
-from .threads import Threads as Threads

@@ -1,40 +1,16 @@
-"""Random actions, what players of actions share, and how user code is run."""
+"""Random actions, and what players of actions share."""
 
-import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, InvalidPolicy, KnotgymError, one_line
+from knotgym.common import InvalidInput, InvalidPolicy
 from knotgym.control.sampler import Ids, Pulls
 from knotgym.envs import EpisodeBatch
 from knotgym.rope import ActionView, nearest_beads
-
-
-@contextmanager
-def user_code(name: str) -> Iterator[None]:
-    """Run user code; re-raise what it raises, even by `sys.exit`, as InvalidPolicy."""
-    try:
-        yield
-    except KnotgymError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise invalid_policy(name, error) from error
-
-
-def invalid_policy(name: str, error: BaseException) -> InvalidPolicy:
-    """One line that names the policy, the error, and where it was raised."""
-    # the innermost frame is where the user's code, or a library that it called, went wrong
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    return InvalidPolicy(
-        f"policy {name} raised {type(error).__name__}: {one_line(error)} ({place})"
-    )
 
 
 class ActionPlayer(ABC):

@@ -32,8 +32,9 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidPolicy, one_line
-from knotgym.control.basic_policies import ActionPlayer, invalid_policy, user_code
+from knotgym.common import InvalidPolicy
+from knotgym.control.basic_policies import ActionPlayer
+from knotgym.control.policies import user_code
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.sampler import Ids, Player, Policy, Pulls, SimplePolicy
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -138,14 +139,10 @@ def load(config: PolicyConfig) -> Policy:
     """
     name = config.policy
     module, _, attribute = name.partition(":")
-    try:
-        # the current folder is searched, too, as by `python -m`
-        with _current_folder(module.partition(".")[0]):
-            given = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, SyntaxError) as error:
-        raise InvalidPolicy(f"no policy {name}: {one_line(error)}") from error
-    except (Exception, SystemExit) as error:
-        raise invalid_policy(name, error) from error
+    missing = InvalidPolicy.instead(f"no policy {name}", ImportError, AttributeError, SyntaxError)
+    # the current folder is searched, too, as by `python -m`
+    with user_code(name), missing, _current_folder(module.partition(".")[0]):
+        given = getattr(importlib.import_module(module), attribute)
     from knotgym.loaders import RowPolicy  # here, as few policies are models
 
     if isinstance(given, RowPolicy):

@@ -19,22 +19,16 @@ Worker processes make their own policies, so a name must be registered in every 
 it.
 """
 
+import traceback
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from knotgym.common import InvalidPolicy, one_line, require_regular
-from knotgym.control.basic_policies import RandomPlayer, user_code
-from knotgym.control.planning.pass_policies import (
-    MixedPlayer,
-    NoisyPlayer,
-    PlayPlayer,
-    ScriptedPlayer,
-    is_endless,
-)
+from knotgym.common import InvalidPolicy, KnotgymError, one_line, require_regular
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.planning.planners import PassPlayer, PullPlayer, chooses_pulls
 from knotgym.control.policy_config import PolicyConfig
@@ -72,6 +66,22 @@ def make_policy(config: PolicyConfig) -> Policy:
     """
     with user_code(config.policy):
         return family_of(config.policy).make(config)
+
+
+@contextmanager
+def user_code(name: str) -> Iterator[None]:
+    """Run user code; re-raise what it raises, even by `sys.exit`, as InvalidPolicy."""
+    try:
+        yield
+    except KnotgymError:
+        raise
+    except (Exception, SystemExit) as error:
+        # the innermost frame is where the user's code, or a library that it called, went wrong
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(frame.filename).name}, line {frame.lineno}"
+        raise InvalidPolicy(
+            f"policy {name} raised {type(error).__name__}: {one_line(error)} ({place})"
+        ) from error
 
 
 def policy_files(config: PolicyConfig) -> dict[str, Path]:
@@ -126,15 +136,19 @@ def compile_planning() -> None:
     rollouts(make_policy(PolicyConfig(policy="expert")), task, [0])
 
 
-def _constant(config: PolicyConfig) -> Policy:
-    from knotgym.control.own_policies import own_policy
-
-    return own_policy(lambda seen: [1.0] * 6, "constant")
-
-
 def _later(name: str) -> Callable[..., Any]:
     """Return a function of a module of this room, which is imported when it is called."""
     return lambda *given: resolve_name(f"knotgym.control.{name}")(*given)
+
+
+def _endless(task: TaskConfig) -> TaskConfig:
+    """Return the task; it must be endless, and its actions must be pulls."""
+    if not task.endless:
+        raise InvalidPolicy(
+            "policy play goes on after every goal, so the task must be endless; set"
+            " task.endless, and a task.horizon such as 500"
+        )
+    return chooses_pulls(task)
 
 
 def _planned(
@@ -153,16 +167,25 @@ def _planned(
 
 
 for _row in (
-    PolicyFamily(form="random", make=lambda config: SimplePolicy("random", RandomPlayer)),
-    PolicyFamily(form="constant", make=_constant),
     PolicyFamily(
-        form="scripted", make=lambda config: SimplePolicy("scripted", ScriptedPlayer, chooses_pulls)
+        form="random",
+        make=lambda config: SimplePolicy("random", _later("basic_policies:RandomPlayer")),
+    ),
+    PolicyFamily(
+        form="constant",
+        make=lambda config: _later("own_policies:own_policy")(lambda seen: [1.0] * 6, "constant"),
+    ),
+    PolicyFamily(
+        form="scripted",
+        make=lambda config: SimplePolicy(
+            "scripted", _later("planning.pass_policies:ScriptedPlayer"), chooses_pulls
+        ),
     ),
     _planned("expert", PassPlayer),
-    _planned("noisy", NoisyPlayer),
-    _planned("play", PlayPlayer, is_endless),
+    _planned("noisy", _later("planning.pass_policies:NoisyPlayer")),
+    _planned("play", _later("planning.pass_policies:PlayPlayer"), _endless),
     _planned("planner", lambda config, batch: PullPlayer(config.planner, batch)),
-    _planned("mixed", MixedPlayer),
+    _planned("mixed", _later("planning.pass_policies:MixedPlayer")),
     PolicyFamily(
         form="recorded:DATASET",
         make=_later("recorded_policy:load"),

@@ -11,6 +11,11 @@ one for each node on the walk around the face, and a centre node. The ring keeps
 simple, without loops or double edges, also for faces with one or two sides and for faces that meet
 a crossing twice.
 
+A drawing follows from its seed to the last bit, and mathematics libraries round sines and angles
+each in its own way, one and the same library otherwise on a processor that multiplies and adds at
+once. Sums, products, quotients and square roots are the same everywhere, so `sin_cos` and
+`angle_of` consist of them; they round alike everywhere, to 1e-15.
+
 After a change run `pytest tests/drawing`: every map must be a triangulated disc, and packed circles
 draw it without folds.
 """
@@ -22,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import inner
-from knotgym.drawing.portable import angle_of, sin_cos
 from knotgym.topology import GaussCode, faces
 
 Array = NDArray[np.float64]
@@ -33,6 +37,8 @@ CUTS = 3  # nodes inside an edge; two are enough for a simple triangulation
 # afterwards, so what centres need is no fold.
 _MAX_SWEEPS = 4000
 _TOLERANCE = 1e-7  # allowed deviation of an angle sum from 2 pi, radians
+# pi / 2 as a sum of two floats; multiples of the first by small integers are exact
+_QUARTER = 1.5707963267341256, 6.077100506506192e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,3 +225,36 @@ def _laid_out(
                 known += 1
             before = petal
     return at
+
+
+@numba.njit(cache=True, nogil=True)
+def sin_cos(x: float) -> tuple[float, float]:
+    """Return the sine and the cosine of an angle of a few turns at most, radians."""
+    quarters = np.rint(x / (np.pi / 2))
+    x = x - quarters * _QUARTER[0] - quarters * _QUARTER[1]
+    sine, cosine = 1.0, 1.0  # Taylor series from behind: the first terms left out are below 1e-17
+    for k in range(18, 1, -2):
+        cosine = 1 - x * x / (k * (k - 1)) * cosine
+        sine = 1 - x * x / (k * (k + 1)) * sine
+    sine *= x
+    for _ in range(int(quarters) % 4):
+        sine, cosine = cosine, -sine
+    return sine, cosine
+
+
+@numba.njit(cache=True, nogil=True)
+def angle_of(x: float, y: float) -> float:
+    """Return the angle of a vector from the x axis, in [-pi, pi]; 0 for the zero vector."""
+    far = np.sqrt(x * x + y * y)
+    if far == 0:
+        return 0.0
+    tangent = y / (far + abs(x))  # of half the angle, which is halved three times more
+    for _ in range(3):
+        tangent /= 1 + np.sqrt(1 + tangent * tangent)
+    series = 0.0
+    for k in range(19, 0, -2):
+        series = 1 / k - tangent * tangent * series
+    angle = 16 * tangent * series
+    if x < 0:
+        return float((np.pi if y >= 0 else -np.pi) - angle)
+    return float(angle)

@@ -9,19 +9,21 @@ After a change run `pytest tests/drawing`, then `knotgym generate --no-demonstra
 --every-code 1`: all 401 codes must be drawn.
 """
 
+import math
+
 import numpy as np
 
 from knotgym.common import Failed, InvalidInput
-from knotgym.drawing.circle_packing import pack_circles, planar_map
+from knotgym.drawing.circle_packing import pack_circles, planar_map, sin_cos
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.layout_relaxation import Integers, relax_layout
-from knotgym.drawing.portable import exp, sin_cos
 from knotgym.rope import Array, Rope
 from knotgym.topology import GaussCode, faces, label, with_chirality
 
 # Of 40 random codes drawn once on 100 beads, 18 fit with 6.25 beads per edge (8 crossings), 9 with
 # 5, 4 with 4.2 and none with 3.6: with fewer than three nothing is worth trying.
 _LEAST_BEADS = 3  # per edge
+_LOG_2 = 0.6931471803691238, 1.9082149292705877e-10  # log 2 as a sum of two floats
 
 
 def drawn_curve(
@@ -85,7 +87,7 @@ def _flat(
     chances = np.array([size**config.outer for size in sizes])
     outer = int(rng.choice(len(sizes), p=chances / chances.sum()))
     drawn = config.uneven * rng.normal(size=len(sizes))
-    shares = np.array([exp(one) for one in drawn.tolist()])
+    shares = np.array([_exp(one) for one in drawn.tolist()])
     shares[outer] = 0.0
     of = planar_map(code, outer)
     # the nodes on the rope come first; those inside the faces have done their work
@@ -135,3 +137,13 @@ def _lifted(
 def _steps(flat: Array) -> Array:
     """Return the segment lengths of a closed polyline."""
     return np.asarray(np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1))
+
+
+def _exp(x: float) -> float:
+    """Return the exponential of a number; libraries round it each in its own way."""
+    twos = round(x / math.log(2))
+    x = x - twos * _LOG_2[0] - twos * _LOG_2[1]
+    series = 1.0
+    for k in range(16, 0, -1):
+        series = 1 + x / k * series
+    return math.ldexp(series, twos)

@@ -5,11 +5,6 @@ from .near_duplicates import families as families
 from .near_duplicates import nearest as nearest
 from .near_duplicates import pairs_within as pairs_within
 from .near_duplicates import repeated as repeated
-from .resolving import is_bundled as is_bundled
-from .resolving import minari_root as minari_root
-from .resolving import resolve as resolve
-from .resolving import resolve_states as resolve_states
-from .resolving import shipped as shipped
 from .schema import STATES as STATES
 from .schema import RopeAtRest as RopeAtRest
 from .sources import CODE_SPLITS as CODE_SPLITS
@@ -17,6 +12,11 @@ from .sources import IMAGE_SPLITS as IMAGE_SPLITS
 from .sources import SOURCES as SOURCES
 from .sources import STATE_SPLITS as STATE_SPLITS
 from .sources import held_form as held_form
+from .sources import is_bundled as is_bundled
+from .sources import minari_root as minari_root
+from .sources import resolve as resolve
+from .sources import resolve_states as resolve_states
+from .sources import shipped as shipped
 from .state_file import States as States
 from .state_file import merge_states as merge_states
 from .state_file import read_states as read_states

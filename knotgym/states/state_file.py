@@ -19,9 +19,8 @@ import knotgym
 from knotgym.common import InvalidFile, InvalidInput, Table, format_of, read_tables, write_tables
 from knotgym.rope import MUJOCO
 from knotgym.states.near_duplicates import repeated, spread_of
-from knotgym.states.resolving import resolve_states
 from knotgym.states.schema import ATTRIBUTES, FORMAT, STATES, VERTICES, VERTICES_FORMAT, RopeAtRest
-from knotgym.states.sources import STATE_SPLITS
+from knotgym.states.sources import STATE_SPLITS, resolve_states
 from knotgym.topology import UNKNOWN, GaussCode, Symmetry, canonical, same_spot
 
 DIGEST = "content_sha256"  # attribute: `Table.digest` of the file's table

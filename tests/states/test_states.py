@@ -14,8 +14,8 @@ import pytest
 from knotgym.common import InvalidFile, InvalidInput, Table
 from knotgym.generate import judge
 from knotgym.quality import Limits
-from knotgym.states.resolving import SETS, shipped
 from knotgym.states.schema import ATTRIBUTES, STATES
+from knotgym.states.sources import SETS, shipped
 from knotgym.states.state_file import DIGEST, States, merge_states, read_states, write_states
 from knotgym.topology import GaussCode, Symmetry, canonical
 

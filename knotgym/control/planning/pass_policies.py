@@ -8,14 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidPolicy
 from knotgym.control.basic_policies import RandomPlayer
 from knotgym.control.planning.batched_search import LONGEST, Orders, Search, Trial
 from knotgym.control.planning.passes import PassPlan
-from knotgym.control.planning.planners import SLOTS, Ids, PassPlayer, chooses_pulls
+from knotgym.control.planning.planners import SLOTS, Ids, PassPlayer
 from knotgym.control.policy_config import MIXED, PolicyConfig
 from knotgym.control.sampler import Player, Pulls
-from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.envs import EpisodeBatch
 from knotgym.rope import Array, MacroAction, Pass, WaypointFollower, quantized
 from knotgym.topology import GaussCode
 
@@ -92,16 +91,6 @@ class NoisyPlayer(Player):
         return _together([Pulls(noisy, beads, forces), inner])
 
 
-def is_endless(task: TaskConfig) -> TaskConfig:
-    """Return the task; it must be endless, and its actions must be pulls."""
-    if not task.endless:
-        raise InvalidPolicy(
-            "policy play goes on after every goal, so the task must be endless; set"
-            " task.endless, and a task.horizon such as 500"
-        )
-    return chooses_pulls(task)
-
-
 class _Simplest(NamedTuple):
     """The pass, of some, that leaves the fewest crossings, and the pulls simulated."""
 
@@ -145,7 +134,7 @@ class PlayPlayer(PassPlayer):
             self.lead(index, found.move)
             self._draw_goal(index)
 
-    def give_up(self, index: int) -> None:
+    def _give_up(self, index: int) -> None:
         """Search for a random pass that leaves few crossings."""
         rng, beads = self._rngs[index], self.batch.simulation.points.shape[1]
         # as many as a search has slots: all are simulated side by side, for the price of little

@@ -298,9 +298,9 @@ class PassPlayer(Player):
         if found.passes:
             self._follow(index, found.passes)
         else:
-            self.give_up(index)
+            self._give_up(index)
 
-    def give_up(self, index: int) -> None:
+    def _give_up(self, index: int) -> None:
         """Go on after a search that found nothing."""
         self._by_pulls[index] = True
         self._last_resort.look(np.array([index]))

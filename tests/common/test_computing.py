@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.common import threads
-from knotgym.common.threads import Threads
+from knotgym.common import computing
+from knotgym.common.computing import Threads
 
 counts = pytest.mark.parametrize("count", [1, 3])
 
@@ -89,7 +89,7 @@ def test_cores_are_those_that_affinity_and_the_container_s_quota_leave(
     def text(path: Path) -> str:
         return "0::/pod/own\n" if path == Path("/proc/self/cgroup") else read(path)
 
-    monkeypatch.setattr(threads, "_CGROUPS", tmp_path)
+    monkeypatch.setattr(computing, "_CGROUPS", tmp_path)
     monkeypatch.setattr(Path, "read_text", text)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     assert Threads.cores() == expected == Threads(0)._most
