@@ -14,7 +14,7 @@ from typing import Any, get_type_hints
 
 import pytest
 
-from knotgym.cli.options import numbers
+from knotgym.cli.options import numbers, run_folder
 from knotgym.cli.program import COMMANDS, _module_of, application
 from knotgym.common import InvalidInput, choices
 from knotgym.states import shipped
@@ -142,7 +142,11 @@ def test_other_numbers_of_crossings_are_refused(text: str) -> None:
         numbers(text)
 
 
-NEW = ("--out", "{new}")
+def test_a_run_without_out_has_a_folder_named_by_its_settings() -> None:
+    assert run_folder(None, "tie:nx 2/a_1,3.5-v0") == Path("knotgym-data/tie-nx-2-a_1,3.5-v0")
+    assert run_folder(Path("mine"), "tie") == Path("mine")
+
+
 REFUSED = [
     ("x", 'Unknown command "x". Available commands: demo, generate'),
     ("colect", 'Did you mean "collect"?'),

@@ -95,6 +95,9 @@ def test_a_pickled_dataset_keeps_its_selection_and_no_data(file: Path) -> None:
     again = pickle.loads(stored)
     assert len(stored) < 1000 and again.rows.tolist() == [0]
     assert chosen.episodes.differences(again.episodes) == []
+    whole = open_episodes(file)
+    drawn = [whole.drawn(sample).episodes.episodes.rows for sample in (0, 1, 2, 3, 9)]
+    assert drawn == [3, 1, 2, 3, 3]
 
 
 def test_the_digest_follows_the_pulls_alone() -> None:
@@ -142,6 +145,7 @@ def test_states_are_found_by_digest_and_never_by_a_path(
         open_episodes(path).states_path()
     beside.write_bytes(b"private")
     assert open_episodes(path).states_path() == beside
+    assert open_episodes(path).found_task.states == str(beside)
 
 
 def attribute(name: str, old: str, new: str) -> Callable[[h5py.File], None]:

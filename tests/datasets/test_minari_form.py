@@ -82,6 +82,13 @@ def test_metadata_comes_back(root: Path) -> None:
     assert metadata_of(open_episodes(root / ID)) == replace(METADATA, author=("A", "B"))
 
 
+def test_no_object_of_a_file_has_a_time_so_that_equal_data_have_equal_bytes(root: Path) -> None:
+    times = set()
+    with h5py.File(root / ID / "data/main_data.hdf5") as file:
+        file.visititems(lambda name, one: times.add(h5py.h5g.get_objinfo(one.id).mtime))
+    assert times == {0}
+
+
 def test_large_sets_and_recordings_have_no_minari_form(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,7 +5,8 @@ import pytest
 
 from knotgym.common import Failed
 from knotgym.drawing.circle_packing import pack_circles, planar_map
-from knotgym.drawing.curves import drawn_curve
+from knotgym.drawing.curves import _flat, _lifted, drawn_curve
+from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.topology import GaussCode, faces, label, with_chirality
 
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
@@ -32,6 +33,14 @@ def test_a_drawing_shows_its_code_with_its_chirality_or_with_one(code: GaussCode
 def test_the_same_generator_draws_the_same_rope_and_another_does_not() -> None:
     one, again, other = (first_drawn(KINKS, seed) for seed in (1, 1, 2))
     assert np.array_equal(one, again) and not np.allclose(one, other, atol=0.01)
+
+
+@pytest.mark.parametrize("code", [KINKS, TREFOIL])
+def test_the_base_lies_on_the_edge_between_its_neighbours(code: GaussCode) -> None:
+    rng, config = np.random.default_rng(0), DrawingConfig()
+    curve = _lifted(*_flat(code, rng, config), code, rng, 1.0, config)
+    before, after = np.linalg.norm(curve[[-1, 1]] - curve[0], axis=1)
+    assert before + after == pytest.approx(np.linalg.norm(curve[-1] - curve[1]))
 
 
 @pytest.mark.parametrize("outer", range(5))

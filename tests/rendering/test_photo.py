@@ -9,6 +9,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -149,3 +150,33 @@ def test_no_camera_shows_two_strands_that_lie_on_each_other() -> None:
     there = np.column_stack([np.linspace(0, 0.3, 50), np.zeros((50, 2))])
     back = there[::-1] + (0, 0.003, 0.002)
     assert photograph(np.concatenate([there, back]), 128, np.random.default_rng(0)) is None
+
+
+def test_things_on_the_rope_cover_straight_pieces_of_single_strands_and_no_tape() -> None:
+    found = 0
+    for number, (_, shot) in enumerate(photos(8, 128, 4)):
+        bare = take(shot.points, replace(shot.look, occluders=0))
+        line = bare.line[:, :2]
+        along = line - np.roll(line, 1, axis=0)
+        for seed in range(5):
+            laid = take(shot.points, replace(shot.look, occluders=2, marked=True, seed=seed))
+            count, parts = cv2.connectedComponents((bare.strands != laid.strands).view(np.uint8))
+            assert count <= 3
+            found += count - 1
+            for part in range(1, count):
+                x, y = line.T.astype(int)
+                covered = np.flatnonzero(parts[y, x] == part)
+                assert np.ptp(covered) < 9 and 2 < covered.min(), (number, seed, covered)
+                first, last = along[covered[[0, -1]]]
+                assert first @ last > 0.7 * np.linalg.norm(first) * np.linalg.norm(last)
+    assert found > 12, found
+
+
+def test_exposure_and_warmth_are_gains_of_the_colours() -> None:
+    ((_, shot),) = photos(1, 128, 1)
+    plain = replace(shot.look, exposure=0.5, warmth=0.0, falloff=0.0, noise=0.0, blur=0.0, jpeg=100)
+    one, other = (
+        take(shot.points, look).image.astype(float)
+        for look in (plain, replace(plain, exposure=0.4, warmth=0.2))
+    )
+    np.testing.assert_allclose(other, one * (0.88, 0.8, 0.72), atol=1.5)

@@ -122,6 +122,10 @@ def test_the_journal_of_another_run_is_refused_and_left(tmp_path: Path) -> None:
         Journal(tmp_path / "j", other, resume=False)
     with Journal(tmp_path / "j", other, resume=False, restart=True) as journal:
         assert journal.is_empty
+    for run in ({"config": {"seed": 0, "note": "long" * 99}}, RUN, RUN):
+        assert (
+            Journal(tmp_path / "j", run).__enter__().is_empty
+        )  # what holds no result is any run's
 
 
 def test_a_result_that_does_not_reach_the_disk_is_not_counted_and_spoils_nothing(

@@ -24,6 +24,7 @@ def test_states_come_back_as_written(states: States, states_path: str) -> None:
     read = read_states(states_path)
     assert Table.digest(read.table) == Table.digest(states.table) == read.digest
     assert read.attributes == states.attributes
+    assert not any(column.flags.writeable for column in read.table.values())
 
 
 def test_states_are_pickled_whole(states: States) -> None:
