@@ -150,7 +150,6 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: Window(discount=1.5), "discount must be at most 1, got 1.5"),
     (lambda: GoalSampling(p_currgoal=1.0), "must be probabilities that sum to 1, got"),
     (lambda: batch([0], window=Window(goals=GoalSampling())), "goals are drawn: hand a generator"),
-    (lambda: Transitions(DATA).sample_goals([0], RNG), "no goals to sample"),
     (lambda: Sequences(DATA, 0), "length must be at least 1, got 0"),
     (lambda: multiplied(arrays(DATA), 0, np.random.default_rng(0)), "multiplied at least once"),
     (lambda: twice(without="actions"), "a batch to transform has actions"),

@@ -73,7 +73,7 @@ class Column(NamedTuple):
         return np.str_ if self.dtype == "text" else self.dtype
 
     @property
-    def unknown(self) -> Any:
+    def _unknown(self) -> Any:
         """What rows hold that have no value: "", NaN, -1, False; None if files refuse that."""
         if self.dtype == "text":
             return ""
@@ -134,7 +134,7 @@ class Schema(NamedTuple):
         """Compute the derived columns of a row, by name, from what the row is made of."""
         return {c.name: c.derived(origin) for c in self.columns if c.derived}
 
-    def shape(self, column: Column) -> tuple[int, ...]:
+    def _shape(self, column: Column) -> tuple[int, ...]:
         """Return the shape of a row of a column; all of its words must have values."""
         sizes = dict(self.sizes)
         return tuple(sizes[size] if isinstance(size, str) else size for size in column.shape)
@@ -145,7 +145,7 @@ class Schema(NamedTuple):
         An array of text can't be filled, because it cuts texts to the length that it was made for.
         """
         return {
-            c.name: np.zeros((rows, *self.shape(c)), "U1" if c.dtype == "text" else c.dtype)
+            c.name: np.zeros((rows, *self._shape(c)), "U1" if c.dtype == "text" else c.dtype)
             for c in self.columns
             if not rows or c.dtype != "text"
         }
@@ -242,10 +242,10 @@ class Table(Mapping[str, NDArray[Any]]):
             InvalidInput: a file can't say that such a column has no values.
         """
         lacking = [c for c in schema.columns if c.optional and c.name not in self]
-        if never := [c.name for c in lacking if c.unknown is None]:
+        if never := [c.name for c in lacking if c._unknown is None]:
             raise InvalidInput(f"column {', '.join(never)} is missing")
-        sized = schema.sized(**dict(self.schema.sizes))
-        added = {c.name: np.full((self.rows, *sized.shape(c)), c.unknown, c.numpy) for c in lacking}
+        shape = schema.sized(**dict(self.schema.sizes))._shape
+        added = {c.name: np.full((self.rows, *shape(c)), c._unknown, c.numpy) for c in lacking}
         names = {*self, *added}
         return Table(schema._replace(sizes=()).only(*names), {**self, **added})
 
@@ -357,7 +357,7 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
             values = [np.strings.encode(one, "utf-8") for one in values]
             dtype = h5py.string_dtype("utf-8", max(1, *(one.dtype.itemsize for one in values)))
             values = [one.astype(dtype) for one in values]
-        shape, options, at = schema.shape(c), {}, 0
+        shape, options, at = schema._shape(c), {}, 0
         if pack and rows and prod(shape):
             fitting = max(1, _CHUNK // (np.dtype(dtype).itemsize * prod(shape)))
             options = {**_PACKED, "chunks": (min(rows, fitting), *shape)}
@@ -497,7 +497,7 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
     first, *others = (schema.sized(**most) for schema in schemas)
     for other in others:
         for one, found in zip(first.columns, other.columns, strict=True):
-            kinds = [f"{c.dtype} {own.shape(c)}" for c, own in ((one, first), (found, other))]
+            kinds = [f"{c.dtype} {own._shape(c)}" for c, own in ((one, first), (found, other))]
             if kinds[0] != kinds[1]:
                 said = " in one and ".join(kinds)
                 raise InvalidInput(f"tables to append differ: {one.name} is {said} in another")
@@ -507,7 +507,7 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
 def _fitted(schema: Schema, column: Column, table: Table) -> NDArray[Any]:
     """Return a table's column, padded to the length that the schema has."""
     values = table[column.name]
-    return padded(values, schema.shape(column)[0], 1) if column.padded else values
+    return padded(values, schema._shape(column)[0], 1) if column.padded else values
 
 
 def padded(values: NDArray[Any], width: int, axis: int = -1) -> NDArray[Any]:

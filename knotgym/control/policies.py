@@ -28,7 +28,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from knotgym.common import InvalidPolicy, KnotgymError, one_line, require_regular
+from knotgym.common import InvalidPolicy, KnotgymError, one_line
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.planning.planners import PassPlayer, PullPlayer, chooses_pulls
 from knotgym.control.policy_config import PolicyConfig
@@ -82,20 +82,6 @@ def user_code(name: str) -> Iterator[None]:
         raise InvalidPolicy(
             f"policy {name} raised {type(error).__name__}: {one_line(error)} ({place})"
         ) from error
-
-
-def policy_files(config: PolicyConfig) -> dict[str, Path]:
-    """Return each file that decides how a policy acts: weights, user code, transcripts, and the
-    planner's table. The package's own code isn't among them; its version is recorded elsewhere.
-
-    Raises:
-        InvalidPolicy: a file can't be read.
-    """
-    with InvalidPolicy.instead(f"policy {config.policy}", OSError):
-        files = family_of(config.policy).files(config.policy)
-        for path in files.values():
-            require_regular(path, "file", InvalidPolicy)
-        return {name: Path(files[name]) for name in sorted(files)}
 
 
 def _rows() -> Iterator[PolicyFamily]:

@@ -10,10 +10,9 @@ from typing import Annotated, Any
 
 from pydantic import NonNegativeInt, PositiveInt
 
-from knotgym.common import InvalidPolicy, Mark, Share, configuration
+from knotgym.common import InvalidPolicy, Mark, Share, configuration, require_regular
 
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
-_TABLE = "knotgym.control.policies"  # it makes policies, so it is imported when asked
 _PLANNED = ("expert", "noisy", "play", "planner", "mixed")
 
 
@@ -92,12 +91,24 @@ class PolicyConfig:
         return "".join(letter if letter.isalnum() else "-" for letter in stem)
 
     def files(self) -> dict[str, Path]:
-        """Return each file that decides how the policy acts, see `policies.policy_files`."""
-        found: dict[str, Path] = resolve_name(f"{_TABLE}:policy_files")(self)
-        return found
+        """Return each file that decides how the policy acts: weights, user code, transcripts, and
+        the planner's table. The package's own code isn't among them; its version is recorded
+        elsewhere.
+
+        Raises:
+            InvalidPolicy: a file can't be read.
+        """
+        with InvalidPolicy.instead(f"policy {self.policy}", OSError):
+            files = self._family().files(self.policy)
+            for path in files.values():
+                require_regular(path, "file", InvalidPolicy)
+            return {name: Path(files[name]) for name in sorted(files)}
 
     def card(self) -> dict[str, Any] | None:
         """Return facts about the training of the policy; None if its family records none."""
-        family: Any = resolve_name(f"{_TABLE}:family_of")(self.policy)
-        found: dict[str, Any] | None = family.card(self.policy)
+        found: dict[str, Any] | None = self._family().card(self.policy)
         return found
+
+    def _family(self) -> Any:
+        # the table makes policies, so it is imported when it is asked
+        return resolve_name("knotgym.control.policies:family_of")(self.policy)

@@ -32,11 +32,6 @@ class TaskSide(NamedTuple):
     nx: int
     rows: NDArray[np.int64]
 
-    @property
-    def knots(self) -> list[str]:
-        """The knot types, sorted."""
-        return sorted(set(self.states.knot[self.rows].tolist()))
-
 
 def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
     """Return the states from which starts and goals are sampled, for each of `task.singles`.
@@ -63,15 +58,17 @@ def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     own = _of_our_rope(path, task)
     starts, goals = (_side(task, path, own, nx) for nx in (_start_nx(task, own), task.goal_nx))
     goals = goals._replace(rows=goals.rows[: task.max_goals])
-    if len({*starts.knots, *goals.knots}) > 1:
+    begin, end = (
+        ", ".join(sorted({*one.states.knot[one.rows].tolist()})) for one in (starts, goals)
+    )
+    if begin != end or ", " in begin:
         raise InvalidInput(
-            f"task {task.task!r} with nx = {task.nx} would start as {', '.join(starts.knots)} and"
-            f" end as {', '.join(goals.knots)}, and no action changes the knot type; {path} has"
-            f" {_contents(own)}"
+            f"task {task.task!r} with nx = {task.nx} would start as {begin} and end as {end}, and"
+            f" no action changes the knot type; {path} has {_contents(own)}"
         )
     if starts.nx == goals.nx and len(set(goals.states.gauss_code[goals.rows].tolist())) < 2:
         raise InvalidInput(
-            f"a tie to nx = {goals.nx} starts at the simplest diagram of {starts.knots[0]} in"
+            f"a tie to nx = {goals.nx} starts at the simplest diagram of {begin} in"
             f" {path}, which shows its only goal's code already; it has {_contents(own)}"
         )
     return starts, goals

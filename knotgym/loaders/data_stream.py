@@ -75,12 +75,12 @@ class DataStream:
         self._config, self._seed, self._opening, self.number = config, seed, opening, 0
         self._batch, self._size, self._shuffled, self._repeats = sizes.values()
         self._held = dict[int, Transitions | Pictures]()
-        self.batch_of(0)  # refuses what can't be opened before a worker does
+        self._batch_of(0)  # refuses what can't be opened before a worker does
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_held": {}}  # another process makes its own blocks
 
-    def batch_of(self, number: int) -> dict[str, Any]:
+    def _batch_of(self, number: int) -> dict[str, Any]:
         """Return one batch, as `Transitions.batch` does, whatever was returned before."""
         turn, place = divmod(number, self._shuffled * self._repeats)
         part, one = divmod(place, self._shuffled)
@@ -122,7 +122,7 @@ class DataStream:
         while True:
             # counted before it is given: who asks for the state then goes on with the next one
             self.number = number + shares
-            yield self.batch_of(number)
+            yield self._batch_of(number)
             number = self.number
 
     def state_dict(self) -> dict[str, Any]:

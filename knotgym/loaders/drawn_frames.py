@@ -78,7 +78,7 @@ class DrawnFrames:
             self._file = self._cached(Path(cache))
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def _names(self) -> tuple[str, ...]:
         """The parts of an observation: pixels and state for "both"."""
         return ("pixels", "state") if self.observation == "both" else (self.observation,)
 
@@ -98,7 +98,7 @@ class DrawnFrames:
         """
         every = [(ids.ravel(), np.repeat(goals, ids.size // max(1, len(goals)))) for ids in shown]
         found: dict[str, list[NDArray[Any]]] = {}
-        for name in self.names:
+        for name in self._names:
             if name == "marked" or self._canonical:
                 seen = self._marked if name == "marked" else self._canonical_states
                 found[name] = [seen(*pair) for pair in every]
@@ -125,7 +125,7 @@ class DrawnFrames:
                 " depends on rope and goal; choose another observation or frame, or leave out apart"
                 " and negatives"
             )
-        found = {name: self._halves(name, [ids.ravel() for ids in shown]) for name in self.names}
+        found = {name: self._halves(name, [ids.ravel() for ids in shown]) for name in self._names}
         return self._shaped(found, shown)
 
     def _shaped(self, found: dict[str, list[NDArray[Any]]], shown: list[Ids]) -> list[Any]:
@@ -157,10 +157,10 @@ class DrawnFrames:
         width = none.shape[1]
         joined = np.empty((len(ropes), 2 * width, *none.shape[2:]), none.dtype)
 
-        def part(rows: slice) -> None:
+        def _part(rows: slice) -> None:
             joined[rows, :width], joined[rows, width:] = read(ropes[rows]), read(goals[rows])
 
-        Threads(0).spread(part, len(ropes), most=_BLOCK)
+        Threads(0).spread(_part, len(ropes), most=_BLOCK)
         return joined
 
     def _column(self, ids: Ids, of_state: str, of_goal: str) -> NDArray[Any]:

@@ -76,11 +76,7 @@ class Symmetries(Symmetry):
             flags[1:] = False
         return cls(turn, flags[0], flags[1], flags[2] & reverse)
 
-    def take(self, rows: Any) -> "Symmetries":
-        """Return the symmetries of some samples, by an index of any kind."""
-        return Symmetries(*(field[rows] for field in self[:4]))
-
-    def visits(self, visits: ArrayLike) -> NDArray[np.int16]:
+    def _visits(self, visits: ArrayLike) -> NDArray[np.int16]:
         """Map codes, int16 (n, ..., SYMBOLS), as `observations.cut` gives them."""
         own = np.asarray(visits, dtype=np.int16)
         flags = np.stack([self.switch, self.reverse], axis=1).astype(np.int16)
@@ -96,7 +92,7 @@ class Symmetries(Symmetry):
             row[: len(code.visits)] = code.visits
         return different[at.ravel(), : Observer.SYMBOLS].reshape(own.shape)
 
-    def pictures(self, pictures: ArrayLike) -> Array:
+    def _pictures(self, pictures: ArrayLike) -> Array:
         """Turn and mirror pictures of rope and goal side by side, (n, size, 2 size, channels)."""
         seen = np.asarray(pictures)
         if self.switch.any() or self.reverse.any() or not self._has_quarter_turns:
@@ -138,9 +134,9 @@ class Symmetries(Symmetry):
             raise InvalidInput(f"a batch to transform has {', '.join(missing)}; this one hasn't")
         for name, values in batch.items():
             if name in _OBSERVATIONS:
-                made[name] = self.observations(values)
+                made[name] = Observer.map_parts(values, self._observations)
             elif name in _ACTIONS:
-                made[name] = self.actions(np.asarray(values))
+                made[name] = self._actions(np.asarray(values))
                 if made[name].dtype.kind == "f":
                     forces = np.abs(made[name][..., 3:])
                     kept &= (forces <= 1 + 1e-6).all(axis=tuple(range(1, forces.ndim)))
@@ -158,18 +154,14 @@ class Symmetries(Symmetry):
     def _has_quarter_turns(self) -> bool:
         return bool(np.allclose(self.turn, np.rint(self.turn / (np.pi / 2)) * (np.pi / 2)))
 
-    def observations(self, seen: Any) -> Any:
-        """Map observations, as `applied` does."""
-        return Observer.map_parts(seen, self._observations)
-
     def _observations(self, seen: ArrayLike) -> Array:
         values = np.asarray(seen)
         if len(values) != len(self.turn):
             raise InvalidInput(f"{len(self.turn)} symmetries don't fit {len(values)} samples")
         if values.dtype == np.uint8:
-            return self.pictures(values)
+            return self._pictures(values)
         if values.dtype == np.int16:
-            return self.visits(values)
+            return self._visits(values)
         if values.dtype.kind != "f" or values.shape[-1] % 6:
             raise InvalidInput(
                 "observations to transform are of the kind state, symbolic or pixels; marked ones"
@@ -178,7 +170,7 @@ class Symmetries(Symmetry):
         ropes = values.reshape(*values.shape[:-1], 2, values.shape[-1] // 6, 3)
         return self.vertices(ropes).reshape(values.shape)
 
-    def actions(self, actions: Array) -> Array:
+    def _actions(self, actions: Array) -> Array:
         """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""
         if actions.dtype.kind == "f":
             if actions.shape[-1] != 6:

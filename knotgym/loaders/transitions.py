@@ -11,7 +11,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
 
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import Any, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,7 @@ from knotgym.common import InvalidInput, Table
 from knotgym.datasets import Episodes, columns_of
 from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
-from knotgym.loaders.windows import Window, other_codes, returns
+from knotgym.loaders.windows import GoalSampling, Window
 from knotgym.rope import ActionView, nearest_beads
 
 
@@ -389,9 +389,9 @@ class Transitions:
         if window.goals is not None:
             if rng is None:
                 raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
-            sampled = self.sample_goals(rows, rng)
+            sampled = self._sampled_goals(rows, window.goals, rng)
         goals = self._goals(segments) if sampled is None else self._states[sampled]
-        found = returns(window.discount, *self._outcomes(rows, window.n_step, sampled))
+        found = _returns(window.discount, *self._outcomes(rows, window.n_step, sampled))
         states = rows + segments
         ends = (states, states + found.steps)
         shown = [self._states[self._stack(one, segments)] for one in ends]
@@ -422,26 +422,16 @@ class Transitions:
         if sampled is not None and rng is not None and window.goals is not None:
             if window.goals.negatives:
                 codes = self._codes_held[0]
-                others = other_codes(codes, codes[sampled], window.goals.negatives, rng)
+                others = _other_codes(codes, codes[sampled], window.goals.negatives, rng)
                 batch["negatives"] = self._frames.alone([self._states[others]])[0]
         return batch
 
-    def sample_goals(self, rows: ArrayLike, rng: np.random.Generator) -> Ids:
-        """Draw the goals of transitions, as `batch` does first with the same generator.
-
-        Returns:
-            int64 (n,), indices of the N + S states of all segments.
-
-        Raises:
-            InvalidInput: the window samples no goals.
-        """
-        if self.window is None or self.window.goals is None:
-            raise InvalidInput("there are no goals to sample: open with window=Window(goals=...)")
-        wanted = np.asarray(rows, dtype=np.int64)
-        segments = self._segments(wanted)
+    def _sampled_goals(self, rows: Ids, goals: GoalSampling, rng: np.random.Generator) -> Ids:
+        """Draw the goals of transitions: (n,), indices of the N + S states of all segments."""
+        segments = self._segments(rows)
         last = self.starts[segments + 1] + segments
-        ends, count = (wanted + segments, last), len(self._states)
-        return self.window.goals.draw(*ends, count, self.window.discount, rng)
+        discount = (self.window or Window()).discount
+        return goals.draw(rows + segments, last, len(self._states), discount, rng)
 
     def _outcomes(
         self, rows: Ids, n_step: int, goals: Ids | None = None
@@ -544,3 +534,80 @@ def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArra
     found = actions[np.where(kept, rows, 0)]
     found[~kept] = 0
     return found
+
+
+class _Returns(NamedTuple):
+    """The outcome of n windows of several steps, (n,) each.
+
+    Attributes:
+        steps: transitions to the next observation, int64.
+        pulls: pulls to the next observation, int64; more than steps in macro-actions.
+        rewards: discounted sum, float64.
+        discounts: factor of the bootstrap at the next observation, float64: 0 after a termination.
+        terminals: whether a transition of the window terminated.
+        timeouts: whether the window ended where the episode was truncated.
+    """
+
+    steps: Ids
+    pulls: Ids
+    rewards: NDArray[np.float64]
+    discounts: NDArray[np.float64]
+    terminals: NDArray[np.bool_]
+    timeouts: NDArray[np.bool_]
+
+
+def _returns(
+    discount: float,
+    rewards: NDArray[np.float64],
+    terminals: NDArray[np.bool_],
+    timeouts: NDArray[np.bool_],
+    pulls: Ids,
+    inside: NDArray[np.bool_],
+) -> _Returns:
+    """Sum n windows of m transitions up to the first that ends an episode.
+
+    Args:
+        discount: per pull.
+        rewards, terminals, timeouts, pulls: (n, m), of each transition.
+        inside: bool (n, m), whether it belongs to the segment of the first; that one does.
+    """
+    ends = terminals | timeouts
+    ended_before = np.cumsum(ends, axis=1) - ends > 0
+    taken = inside & ~ended_before
+    lasting = np.where(taken, pulls, 0)
+    elapsed = np.cumsum(lasting, axis=1)
+    # r_i is discounted by the pulls before transition i
+    factors = discount ** (elapsed - lasting).astype(np.float64)
+    terminated = np.any(terminals & taken, axis=1)
+    return _Returns(
+        steps=taken.sum(axis=1),
+        pulls=elapsed[:, -1],
+        rewards=np.where(taken, rewards * factors, 0).sum(axis=1),
+        discounts=np.where(terminated, 0, discount ** elapsed[:, -1].astype(np.float64)),
+        terminals=terminated,
+        timeouts=np.any(timeouts & taken, axis=1) & ~terminated,
+    )
+
+
+def _other_codes(codes: Ids, own: Ids, count: int, rng: np.random.Generator) -> Ids:
+    """Draw, for each of n codes, `count` states with other codes, uniformly.
+
+    Args:
+        codes: (m,), the code of each state, as a number.
+        own: (n,), the codes to avoid, each one of `codes`.
+        count: states to draw for each.
+
+    Returns:
+        (n, count), indices of states.
+
+    Raises:
+        InvalidInput: all states have the same code.
+    """
+    order = np.argsort(codes, kind="stable")
+    low, high = (np.searchsorted(codes[order], own, side) for side in ("left", "right"))
+    left = len(codes) - (high - low)
+    if (left == 0).any():
+        raise InvalidInput("negatives need a dataset with two Gauss codes or more, got one")
+    drawn = rng.integers(left[:, None], size=(len(own), count))
+    # in sorted order the states with the code itself are the range [low, high), stepped over here
+    return order[drawn + np.where(drawn >= low[:, None], (high - low)[:, None], 0)]

@@ -12,7 +12,7 @@
 No window leaves its segment. The names and meanings of goal sampling are those of HIQL and OGBench.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,80 +114,3 @@ class Window:
                 "goals can't be drawn geometrically with discount 1: use a smaller discount, or"
                 " geom_sample=False"
             )
-
-
-class Returns(NamedTuple):
-    """The outcome of n windows of several steps, (n,) each.
-
-    Attributes:
-        steps: transitions to the next observation, int64.
-        pulls: pulls to the next observation, int64; more than steps in macro-actions.
-        rewards: discounted sum, float64.
-        discounts: factor of the bootstrap at the next observation, float64: 0 after a termination.
-        terminals: whether a transition of the window terminated.
-        timeouts: whether the window ended where the episode was truncated.
-    """
-
-    steps: Integers
-    pulls: Integers
-    rewards: NDArray[np.float64]
-    discounts: NDArray[np.float64]
-    terminals: NDArray[np.bool_]
-    timeouts: NDArray[np.bool_]
-
-
-def returns(
-    discount: float,
-    rewards: NDArray[np.float64],
-    terminals: NDArray[np.bool_],
-    timeouts: NDArray[np.bool_],
-    pulls: Integers,
-    inside: NDArray[np.bool_],
-) -> Returns:
-    """Sum n windows of m transitions up to the first that ends an episode.
-
-    Args:
-        discount: per pull.
-        rewards, terminals, timeouts, pulls: (n, m), of each transition.
-        inside: bool (n, m), whether it belongs to the segment of the first; that one does.
-    """
-    ends = terminals | timeouts
-    ended_before = np.cumsum(ends, axis=1) - ends > 0
-    taken = inside & ~ended_before
-    lasting = np.where(taken, pulls, 0)
-    elapsed = np.cumsum(lasting, axis=1)
-    # r_i is discounted by the pulls before transition i
-    factors = discount ** (elapsed - lasting).astype(np.float64)
-    terminated = np.any(terminals & taken, axis=1)
-    return Returns(
-        steps=taken.sum(axis=1),
-        pulls=elapsed[:, -1],
-        rewards=np.where(taken, rewards * factors, 0).sum(axis=1),
-        discounts=np.where(terminated, 0, discount ** elapsed[:, -1].astype(np.float64)),
-        terminals=terminated,
-        timeouts=np.any(timeouts & taken, axis=1) & ~terminated,
-    )
-
-
-def other_codes(codes: Integers, own: Integers, count: int, rng: np.random.Generator) -> Integers:
-    """Draw, for each of n codes, `count` states with other codes, uniformly.
-
-    Args:
-        codes: (m,), the code of each state, as a number.
-        own: (n,), the codes to avoid, each one of `codes`.
-        count: states to draw for each.
-
-    Returns:
-        (n, count), indices of states.
-
-    Raises:
-        InvalidInput: all states have the same code.
-    """
-    order = np.argsort(codes, kind="stable")
-    low, high = (np.searchsorted(codes[order], own, side) for side in ("left", "right"))
-    left = len(codes) - (high - low)
-    if (left == 0).any():
-        raise InvalidInput("negatives need a dataset with two Gauss codes or more, got one")
-    drawn = rng.integers(left[:, None], size=(len(own), count))
-    # in sorted order the states with the code itself are the range [low, high), stepped over here
-    return order[drawn + np.where(drawn >= low[:, None], (high - low)[:, None], 0)]

@@ -82,7 +82,7 @@ def draw_diagram(
         InvalidInput: points have the wrong shape or are not finite, or the size is out of range.
     """
     rope = seen_from(view, checked_points(points, 2))
-    shown = side or side_of(rope)
+    shown = side or _side_of(rope)
     config = PictureConfig(size=size, view=shown, rope_radius=max(_RADIUS, _THINNEST * shown))
     centre = 0.5 * (rope.min(axis=0) + rope.max(axis=0))
     picture = _paint(rope, centre, config, bead_colours(len(rope)), BACKGROUND, _GAP)
@@ -111,10 +111,10 @@ def draw_lines(points: ArrayLike, config: PictureConfig) -> NDArray[np.uint8]:
     return _paint(rope, rope.mean(axis=0), config, black, _WHITE, _LINE_GAP)
 
 
-def side_of(points: ArrayLike) -> float:
+def _side_of(points: ArrayLike) -> float:
     """Return the side, metres, of a square that shows each of (..., beads, 3) whole, from above.
 
-    >>> side_of(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.0]]))
+    >>> _side_of(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.0]]))
     1.12
     """
     extent = np.ptp(np.asarray(points)[..., :2], axis=-2).max()
@@ -305,7 +305,7 @@ class Film:
     @staticmethod
     def side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
         """Return the side, metres, in which every rope with its arrow fits in every view."""
-        return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
+        return 1.2 * max(_side_of(seen_from(view, rope)) for rope in ropes for view in views)
 
     @staticmethod
     def frames(

@@ -67,7 +67,7 @@ def test_pictures_are_those_of_the_train_split() -> None:
     pictures = stream(PICTURES, 1, **SMALL)
     first, second = islice(pictures, 2)
     assert first["image"].shape == (8, 3, 128, 128) and first["image"].dtype == np.uint8
-    assert not same(first, second) and same(first, pictures.batch_of(0))
+    assert not same(first, second) and same(first, pictures._batch_of(0))
     assert set(first["nx"]) <= {0, 1}, "2 is held out for split test-nx"
     names = {"image", "nx", "visits", "signs", "crossings", "grade", "accepted"}
     assert set(first) == names

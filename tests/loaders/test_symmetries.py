@@ -48,7 +48,7 @@ def test_an_image_of_a_step_is_the_step_of_the_image(engine: str, exact: float) 
     qpos = states.qpos[rng.choice(np.flatnonzero(states.nx > 0), COUNT)]
     beads, force = rng.integers(100, size=COUNT), rng.uniform(-0.5, 0.5, (COUNT, 3))
     drawn = Symmetries.drawn(COUNT, rng)
-    each = [drawn.take(slice(k, k + 1)) for k in range(COUNT)]
+    each = [Symmetries(*(field[k : k + 1] for field in drawn[:4])) for k in range(COUNT)]
     images = np.array([image_of(rope, *one) for one in zip(qpos, each, strict=True)])
     ends = []
     for start, bead, pull in (
@@ -72,7 +72,7 @@ def test_a_code_s_image_is_what_the_moved_rope_shows() -> None:
     for rows, points in ((visits, states.points), (moved, drawn.vertices(states.points))):
         for row, code in zip(rows, label_many(points), strict=True):
             row[: len(code.visits)] = code.visits
-    np.testing.assert_array_equal(drawn.visits(visits), moved)
+    np.testing.assert_array_equal(drawn._visits(visits), moved)
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -98,7 +98,7 @@ def test_pictures_turn_with_the_rope(rope: Rope) -> None:
     drawn = Symmetries.drawn(6, np.random.default_rng(3), of_pictures=True)
     seen = np.stack([np.concatenate([draw(one)] * 2, axis=1) for one in points])
     moved = np.stack([np.concatenate([draw(one)] * 2, axis=1) for one in drawn.vertices(points)])
-    off = np.abs(drawn.pictures(seen).astype(int) - moved).mean(axis=(1, 2, 3))
+    off = np.abs(drawn._pictures(seen).astype(int) - moved).mean(axis=(1, 2, 3))
     wrong = np.abs(seen.astype(int) - moved).mean(axis=(1, 2, 3))
     turned = drawn.reflect | (drawn.turn > 0)
     assert off.max() < 2 and wrong[turned].min() > 5  # levels of 255; edges fall on other pixels

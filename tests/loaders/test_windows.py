@@ -16,7 +16,7 @@ from synthetic_episodes import TASK, TINY, episodes, written
 from knotgym.common import InvalidInput, Stream, Table
 from knotgym.datasets import STEPS, Episodes
 from knotgym.loaders import GoalSampling, Transitions, Window, arrays
-from knotgym.loaders.windows import other_codes
+from knotgym.loaders.transitions import _other_codes
 
 TOWED = 0.2  # the tow limit of the task; a towed state lies a metre off
 
@@ -140,7 +140,7 @@ def test_every_number_of_a_window_equals_a_slow_reference(
         drawn = None
         if window.goals is not None:
             rng = Stream.SAMPLED_GOALS.generator(window.goals.seed)
-            drawn = read.sample_goals(np.arange(len(read)), rng)
+            drawn = read._sampled_goals(np.arange(len(read)), window.goals, rng)
     states = [(k, t) for k, one in enumerate(chosen) for t in decisions(one, view)]
 
     def action(k: int, step: int) -> NDArray[Any]:
@@ -226,9 +226,9 @@ def test_negatives_show_every_other_code_and_no_own(codes: list[int], seed: int)
     rng = np.random.default_rng(seed)
     if len({*codes}) < 2:
         with pytest.raises(InvalidInput, match="two Gauss codes or more"):
-            other_codes(shown, shown, 3, rng)
+            _other_codes(shown, shown, 3, rng)
         return
-    others = other_codes(shown, shown, 200, rng)
+    others = _other_codes(shown, shown, 200, rng)
     assert (shown[others] != shown[:, None]).all()
     for row in range(len(codes)):
         assert {*others[row].tolist()} == {*np.flatnonzero(shown != shown[row]).tolist()}
@@ -236,10 +236,11 @@ def test_negatives_show_every_other_code_and_no_own(codes: list[int], seed: int)
 
 @pytest.mark.parametrize("observation", ["state", "pixels", "symbolic", "both"])
 def test_sampled_goals_and_negatives_are_halves_of_observations(observation: str) -> None:
-    window = Window(goals=GoalSampling(negatives=2))
+    sampling = GoalSampling(negatives=2)
+    window = Window(goals=sampling)
     opened = Transitions(TINY["random"], observation=observation, window=window)
-    rows = [0, 7, 30]
-    goals = opened.sample_goals(rows, np.random.default_rng(3))
+    rows = np.array([0, 7, 30])
+    goals = opened._sampled_goals(rows, sampling, np.random.default_rng(3))
     batch = opened.batch(rows, apart=True, rng=np.random.default_rng(3))
     for name in ("goals", "negatives", "observations"):
         parts = batch[name].values() if observation == "both" else [batch[name]]

@@ -14,8 +14,8 @@ from knotgym.rendering.diagram import (
     BACKGROUND,
     FRAMES_PER_SECOND,
     Film,
+    _side_of,
     draw_diagram,
-    side_of,
     smooth_curve,
 )
 from knotgym.rope import Rope
@@ -40,7 +40,7 @@ def test_the_over_strand_is_whole_and_the_under_strand_has_a_gap(name: str, row:
     picture = draw_diagram(points, size).astype(int)
     curve, crossings = smooth_curve(points, label(points), 4)
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    config = PictureConfig(size=size, view=side_of(points))
+    config = PictureConfig(size=size, view=_side_of(points))
     step = np.roll(curve, -1, axis=0) - curve
     assert crossings.nx == find_crossings(points).nx > 0
     for over, under, position in zip(

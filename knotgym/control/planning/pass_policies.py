@@ -117,7 +117,7 @@ class PlayPlayer(PassPlayer):
         super().begin(ids, inner)
         self._rngs |= dict(zip(ids.tolist(), own, strict=True))
 
-    def settle(self, ids: Ids) -> NDArray[np.bool_]:
+    def _settle(self, ids: Ids) -> NDArray[np.bool_]:
         """Draw new goals for ropes that show theirs; none lies still."""
         codes = zip(ids.tolist(), self.batch.codes_of(ids), strict=True)
         reached = [index for index, code in codes if code.matches(self.goals[index])]
@@ -126,10 +126,10 @@ class PlayPlayer(PassPlayer):
         self.replan(np.array(reached, np.int64))
         return np.zeros(len(ids), bool)
 
-    def decided(self, index: int, found: PassPlan | _Simplest) -> None:
+    def _decided(self, index: int, found: PassPlan | _Simplest) -> None:
         """Go on after a search."""
         if isinstance(found, PassPlan):
-            super().decided(index, found)
+            super()._decided(index, found)
         else:
             self.lead(index, found.move)
             self._draw_goal(index)
@@ -142,7 +142,7 @@ class PlayPlayer(PassPlayer):
         passes = [Pass.drawn(beads, rng) for _ in range(SLOTS)]
         (state,), _ = self.searches.in_chain(self.batch.simulation, np.array([index]))
         search = _simplest(state, passes, self.goals[index])
-        self.searches.start(index, search, self.decided, SLOTS)
+        self.searches.start(index, search, self._decided, SLOTS)
 
     def _draw_goal(self, index: int) -> None:
         rng, (code,) = self._rngs[index], self.batch.codes_of(np.array([index]))

@@ -250,7 +250,7 @@ class PassPlayer(Player):
         points, follower = self.batch.simulation.points, self._follower
         passing = ids[~self._by_pulls[ids] & ~self.searches.thinking[ids]]
         # first, as a rope that shows its goal needs no further pass
-        settled = self.settle(passing)
+        settled = self._settle(passing)
         # Waypoints that were reached are passed before anything is decided, so that a pass that is
         # over leads to a search in this very action.
         over = follower.arrive(points, passing) | (self._taken[passing] >= LONGEST)
@@ -287,13 +287,13 @@ class PassPlayer(Player):
         # a bead may be at its first waypoint already, where a pull towards it would be lost
         self._follower.arrive(points, ids)
 
-    def settle(self, ids: Ids) -> NDArray[np.bool_]:
+    def _settle(self, ids: Ids) -> NDArray[np.bool_]:
         """End the passes of ropes that show their goals; return which should lie still."""
         shown = self.batch.shown[ids]
         self._follower.release(ids[shown])
         return shown
 
-    def decided(self, index: int, found: PassPlan) -> None:
+    def _decided(self, index: int, found: PassPlan) -> None:
         """Go on after a search."""
         if found.passes:
             self._follow(index, found.passes)
@@ -333,4 +333,4 @@ class PassPlayer(Player):
             goal, bound = self.goals[index], self.batch.tow_bound(index, _TOWING)
             act_out = None if is_chain else partial(self.searches.act_out, real, goal)
             search = PassSearch(self._values, goal, self._config, bound, act_out)
-            self.searches.start(index, search.run(state, rope), self.decided)
+            self.searches.start(index, search.run(state, rope), self._decided)

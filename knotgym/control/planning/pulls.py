@@ -93,12 +93,12 @@ class Guide:
             return _UNIT * -math.log(chance)
         return self._farthest + _STRANGE * max(1, abs(code.nx - self._goal.nx))
 
-    def hops(self, code: GaussCode) -> int | None:
-        """About how many passes lead to the goal, if each works half the time; None if unknown."""
+    def hops(self, code: GaussCode, unknown: int) -> int:
+        """About how many passes lead to the goal, if each works half the time."""
         chance = self._chance(code)
         if chance == 1.0:
             return 0
-        return max(1, round(-math.log2(chance))) if chance else None
+        return max(1, round(-math.log2(chance))) if chance else unknown
 
     def propose(self, points: Array, rng: np.random.Generator) -> MacroAction:
         """Draw a macro-action for a rope: like one of the table's passes, or any.
@@ -123,7 +123,7 @@ class Guide:
 
 
 @lru_cache(maxsize=_GOALS_KEPT)
-def guide_to(goal: GaussCode, values: PassValues) -> Guide:
+def _guide_to(goal: GaussCode, values: PassValues) -> Guide:
     """Return the guide to a goal, which is given without chirality."""
     return Guide(values, goal)
 
@@ -181,20 +181,23 @@ class _Pool:
         # macro-actions from states of the code, and the fewest pulls from the root
         self._tries, self._earliest = np.empty((2, 0), np.int64)
 
-    def hops(self, code: GaussCode) -> int:
+    def _hops(self, code: GaussCode) -> int:
         """Estimated number of changes of code to the goal."""
-        known = self._guide.hops(code)
-        if known is not None:
-            return known
-        return code.nx if self._nx_as_hops else _UNKNOWN_HOPS
+        return self._guide.hops(code, code.nx if self._nx_as_hops else _UNKNOWN_HOPS)
 
-    def add(self, node: _Node) -> None:
-        """Add a state; if its code now has too many, drop the one latest and tried most often."""
+    def add(self, node: _Node, most: float = math.inf) -> None:
+        """Add a state, unless the goal can't be reached through it within `most` pulls.
+
+        If its code now has too many states, drop the one latest and tried most often.
+        """
+        # optimistic: every change of code that is left takes the fewest pulls it can
+        if node.steps + _LEAST_STRIDE * self._hops(node.code) > most:
+            return
         if node.code not in self._rows:
             self._rows[node.code] = len(self._nodes)
             self._nodes.append([])
             self._distance = np.append(self._distance, self._guide.distance(node.code))
-            self._left = np.append(self._left, _STRIDE * self.hops(node.code))
+            self._left = np.append(self._left, _STRIDE * self._hops(node.code))
             self._tries, self._earliest = np.append(self._tries, 0), np.append(self._earliest, 0)
         row = self._rows[node.code]
         nodes = self._nodes[row]
@@ -274,7 +277,7 @@ class PullSearch:
         """
         check.restore(state[None])
         root = here = best = _node_of(check)
-        far = guide_to(self.goal.plain, self.values).distance
+        far = _guide_to(self.goal.plain, self.values).distance
         spent, failures, look, most = 0, 0, _LOOK, self.config.batch_size
         while spent + most <= budget and steps > 0:
             check.restore(here.state[None])
@@ -307,7 +310,7 @@ class PullSearch:
         """
         goal, rng, count = self.goal, self.rng, self.config.batch_size
         root = _Node(state, points, label(points))
-        guide = guide_to(goal.plain, self.values)
+        guide = _guide_to(goal.plain, self.values)
         far = guide.distance
         # Hauls take crossings out. Where they are allowed few paths are known, and each crossing is
         # taken for a change of code to go.
@@ -359,9 +362,7 @@ class PullSearch:
                     node = _Node(*report[:3], at.steps + report.pulls, at, *report[-2:])
                     if node.code.matches(goal):
                         return _plan_to(node, True, spent)
-                    # optimistic: every change of code that is left takes the fewest pulls it can
-                    if node.steps + _LEAST_STRIDE * pool.hops(node.code) <= steps:
-                        pool.add(node)
+                    pool.add(node, steps)
                     # progress is worth a fresh choice rather than the rest of this macro-action
                     over |= far(node.code) < far(at.code)
                 shown[slot] = report.code

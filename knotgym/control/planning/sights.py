@@ -87,14 +87,6 @@ class Sight(NamedTuple):
         # The place is inside the arc, and the bead is the one that it lies on: rounded down.
         return int(start + min(max(position - arc, 0.0), 1.0) * (end - start)) % int(self.cuts[-1])
 
-    def position(self, bead: int) -> float:
-        """The position of a bead's middle; the inverse of `bead`."""
-        middle = bead + 0.5
-        arc = min(int(np.searchsorted(self.cuts, middle, side="right")) - 1, len(self.cuts) - 2)
-        start, end = self.cuts[arc], self.cuts[arc + 1]
-        # below 1, or the sum would name the next arc; two visits may coincide, so no division by 0
-        return arc + min(0.999, (middle - start) / max(1e-9, end - start))
-
 
 @lru_cache(maxsize=200_000)
 def _canonical(diagram: Diagram) -> tuple[Diagram, int]:

@@ -58,7 +58,7 @@ class ChainSimulation(Simulation):
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
-        self._physics = physics_of(self.rope)
+        self._physics = _physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
         self.set_qpos(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
@@ -146,7 +146,7 @@ class ChainSimulation(Simulation):
         return counts[:, layout.BLOWN_UP] == 0
 
 
-def physics_of(rope: Rope) -> layout.Physics:
+def _physics_of(rope: Rope) -> layout.Physics:
     """Return what the solver needs to know of a rope, from MuJoCo's compiled model."""
     model, config, body = rope.model, rope.config, int(rope.bodies[0])
     mass, (transverse, _, spin) = float(model.body_mass[body]), model.body_inertia[body].tolist()

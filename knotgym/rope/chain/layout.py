@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 
 class Physics(NamedTuple):
-    """What the solver needs to know of a rope; `chain_simulation.physics_of` reads it.
+    """What the solver needs to know of a rope; `chain_simulation._physics_of` reads it.
 
     Attributes:
         mass: of a bead, kg.

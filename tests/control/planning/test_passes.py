@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
 from knotgym.control.planning.passes import ActOut, PassPlan, PassSearch, PassValues
-from knotgym.control.planning.pulls import _drawn_index, guide_to
+from knotgym.control.planning.pulls import _drawn_index, _guide_to
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass
@@ -160,7 +160,11 @@ def test_arcs_end_where_crossings_are_visited(curve: Array) -> None:
 
 def test_a_bead_is_where_its_position_says(curve: Array) -> None:
     (sight,) = Sight.of(curve[None])
-    assert [sight.bead(sight.position(bead)) for bead in range(40)] == list(range(40))
+    arcs = [*zip(sight.cuts, sight.cuts[1:], strict=False)]
+    for bead in range(40):
+        arc = next(k for k, (_, end) in enumerate(arcs) if bead + 0.5 < end)
+        start, end = arcs[arc]
+        assert sight.bead(arc + (bead + 0.5 - start) / (end - start)) == bead
     assert sight.bead(-1.0) == 0 and sight.bead(99.0) == sight.bead(2 * sight.diagram.nx + 1)
 
 
@@ -168,22 +172,22 @@ def test_a_bead_is_where_its_position_says(curve: Array) -> None:
 
 
 def test_codes_on_the_way_to_the_goal_are_nearer() -> None:
-    guide = guide_to(KINKED_TWICE, PassValues.of_split())
+    guide = _guide_to(KINKED_TWICE, PassValues.of_split())
     far = [guide.distance(code) for code in (GaussCode(KINKED_TWICE.visits, "ca"), KINK, FLAT)]
     assert far[0] == 0 and far == sorted(far) and len({*far}) == 3
-    assert guide.hops(KINK) in (1, 2) and 0 < guide.distance(THREE) < guide.distance(FLAT)
+    assert guide.hops(KINK, 9) in (1, 2) and 0 < guide.distance(THREE) < guide.distance(FLAT)
 
 
 def test_where_no_way_is_known_crossings_count() -> None:
-    guide = guide_to(KINKED_TWICE, PassValues(Moves()))
+    guide = _guide_to(KINKED_TWICE, PassValues(Moves()))
     assert guide.distance(KINK) == guide.distance(THREE) < guide.distance(FLAT)
-    assert guide.hops(KINK) is None and guide.hops(GaussCode(KINKED_TWICE.visits, "ca")) == 0
+    assert guide.hops(KINK, 9) == 9 and guide.hops(GaussCode(KINKED_TWICE.visits, "ca"), 9) == 0
 
 
 def test_most_macro_actions_are_of_the_best_passes(curve: Array) -> None:
     values, rng = PassValues.of_split(), np.random.default_rng(0)
     guide, best = (
-        guide_to(KINKED_TWICE, values),
+        _guide_to(KINKED_TWICE, values),
         list(values.passes(KINKED_TWICE, Sight.of(curve[None])[0])),
     )
     made = [guide.propose(curve, rng) for _ in range(200)]

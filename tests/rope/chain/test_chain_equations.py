@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.rope.chain import banded, contact, dynamics, passage
-from knotgym.rope.chain.chain_simulation import physics_of
+from knotgym.rope.chain.chain_simulation import _physics_of
 from knotgym.rope.chain.contact import LISTED, ROWS, Pairs
 from knotgym.rope.chain.layout import EDGE_I, EDGE_J, GAP, NORMAL, ON_I, ON_J, Physics
 from knotgym.rope.chain.passage import MOST_MOVE
@@ -124,7 +124,7 @@ def dense(given: list[Array], h: float, physics: Physics) -> tuple[Array, Array]
 
 
 def test_a_substep_solves_the_equations_of_motion(rope: Rope) -> None:
-    physics = physics_of(rope)
+    physics = _physics_of(rope)
     rng = np.random.default_rng(0)
     v, pull = rng.normal(0, 0.2, (N, 3, LANES)), rng.normal(0, 0.1, (N, 3, LANES))
     spin = rng.normal(0, 3.0, (N, LANES))
@@ -152,7 +152,7 @@ def squeezed(x: Array, speed: float) -> Array:
 
 
 def test_contact_forces_are_those_of_a_plain_gauss_seidel(rope: Rope, tangled: Array) -> None:
-    physics = physics_of(rope)
+    physics = _physics_of(rope)
     x, n = tangled.copy(), len(tangled)
     x[:, 2] *= 0.3  # strands lie on each other at the crossings
     v, spin, step = squeezed(x, 0.4), np.zeros((n, LANES)), np.full((1, LANES), H)

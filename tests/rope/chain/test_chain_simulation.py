@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from knotgym.rope.chain.chain_simulation import (
     _WEIGHT,
     ChainSimulation,
+    _physics_of,
     _settled,
     _sides,
-    physics_of,
 )
 from knotgym.rope.closed_curves import clearance, directions
 from knotgym.rope.model import Rope, RopeConfig
@@ -108,7 +108,7 @@ def test_a_rope_left_alone_stays(rope: Rope, curls: Array) -> None:
 
 
 def test_the_numbers_are_mujocos_own(rope: Rope) -> None:
-    physics = physics_of(rope)
+    physics = _physics_of(rope)
     damping = physics.damping
     volume = np.pi * 0.005**2 * LENGTH + 4 / 3 * np.pi * 0.005**3
     assert physics.mass == pytest.approx(1000 * volume)
