@@ -19,6 +19,7 @@ import gymnasium as gym
 import h5py
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 from synthetic_episodes import TINY
 
 import knotgym
@@ -105,7 +106,7 @@ def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_ten_lines_of_the_readme_run(capsys: Capture) -> None:
     ten = blocks(ROOT / "README.md")[0]
     assert sum(bool(line.strip()) for line in ten.splitlines()) <= 10
     exec(compile(ten, "README.md", "exec"), {})
@@ -131,9 +132,7 @@ def with_blocks(page: Path) -> Any:
 @pytest.mark.parametrize(
     "page", [with_blocks(page) for page in PAGES if blocks(page) and page.name != "clients.md"]
 )
-def test_the_blocks_of_a_page_run(
-    page: Path, minari: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_s_blocks_run(page: Path, minari: Path, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(minari))
     monkeypatch.chdir(tmp_path)
     with patch.dict(APPEARANCES):  # a page may add one, for itself
@@ -143,7 +142,7 @@ def test_the_blocks_of_a_page_run(
 
 
 @pytest.mark.clients
-def test_the_blocks_that_read_pictures_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_blocks_that_read_pictures_run(tmp_path: Path, monkeypatch: Patch) -> None:
     pytest.importorskip("torch")
     pytest.importorskip("pyarrow")
     monkeypatch.chdir(tmp_path)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pytest_types import Capture, Patch
 from synthetic_episodes import TINY
 
 import knotgym
@@ -48,7 +49,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_a_link_planted_in_a_folder_is_not_followed(
-    words: str, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    words: str, states_path: str, tmp_path: Path, capfd: Capture
 ) -> None:
     if words.startswith("images"):
         pytest.importorskip("pyarrow")
@@ -110,7 +111,7 @@ def test_what_was_not_played_is_a_fault(
 @pytest.mark.parametrize("selection", ["x", 3, {"a": 1}, [1]])
 @pytest.mark.parametrize("kind", ["states", "episodes"])
 def test_a_selection_of_another_form_is_one_line(
-    kind: str, selection: Any, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    kind: str, selection: Any, states_path: str, tmp_path: Path, capfd: Capture
 ) -> None:
     path = tmp_path / "set.h5"
     if kind == "states":
@@ -135,12 +136,7 @@ def test_a_state_file_is_not_by_vertices_as_it_says(states_path: str, tmp_path: 
 @pytest.mark.parametrize("named", ["{path}", "{root}/a/../../states.h5", "a/../../states.h5"])
 @pytest.mark.parametrize("beside", ["", "stray"])
 def test_states_that_a_file_names_elsewhere_are_not_published(
-    named: str,
-    beside: str,
-    states_path: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    named: str, beside: str, states_path: str, tmp_path: Path, monkeypatch: Patch, capfd: Capture
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "root"))
     (tmp_path / "root" / "a").mkdir(parents=True)
@@ -159,7 +155,7 @@ def test_states_that_a_file_names_elsewhere_are_not_published(
     assert "SHA-256" in line and not (tmp_path / "out").exists()
 
 
-def test_an_id_names_no_folder_to_write(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_id_names_no_folder_to_write(tmp_path: Path, capfd: Capture) -> None:
     dataset = open_episodes(TINY["random"])
     metadata = {**(dataset.metadata or {}), "dataset_id": "a/b-x/../../../c"}
     facts = {**dataset.facts, "metadata": metadata}

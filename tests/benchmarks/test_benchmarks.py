@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pytest_types import Capture
 
 from knotgym.common import sha256
 from knotgym.control import Moves
@@ -34,9 +35,7 @@ def test_there_are_benchmarks() -> None:
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_every_benchmark_says_how_to_use_it(
-    script: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_benchmark_says_how_to_use_it(script: Path, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:
         run_script(script, "--help")
     assert ended.value.code == 0 and f"usage: {script.name}" in capsys.readouterr().out
@@ -45,7 +44,7 @@ def test_every_benchmark_says_how_to_use_it(
 
 @pytest.mark.thorough
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
-def test_golden_runs_make_the_arrays_that_they_made(capsys: pytest.CaptureFixture[str]) -> None:
+def test_golden_runs_make_the_arrays_that_they_made(capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:
         run_script(FOLDER / "golden.py", "--compare", ROOT / "tests/data/golden.json")
     assert ended.value.code == 0, capsys.readouterr().out
@@ -122,7 +121,7 @@ def test_a_little_play_makes_a_table_like_the_one_that_ships(table: str, tmp_pat
 @pytest.mark.parametrize(
     ("command", "words"), [("speed", ("--ropes", 4, "--repeats", 1)), ("distance", ("--states", 1))]
 )
-def test_the_chain_engine_is_measured_beside_mujocos(
+def test_the_chain_is_measured_by_mujoco(
     command: str, words: tuple[object, ...], tmp_path: Path
 ) -> None:
     results = figures("chain", tmp_path, command, *words)["results"]

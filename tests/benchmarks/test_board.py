@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from pytest_types import Capture, Patch
 
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym
@@ -14,9 +15,7 @@ PAGE = re.sub(r" \\\n +", " ", (ROOT / "docs" / "board.md").read_text(encoding="
 
 
 @pytest.mark.thorough
-def test_a_stranger_s_policy_is_entered_by_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stranger_enters_by_the_page(tmp_path: Path, monkeypatch: Patch, capsys: Capture) -> None:
     (module,) = re.findall(r"^```python\n(.*?)^```$", PAGE, re.M | re.S)
     assert len(module.splitlines()) <= 40
     lines = re.sub(r"```.*?```", "", PAGE, flags=re.S)

@@ -26,9 +26,7 @@ def passages() -> dict[str, Any]:
 
 
 @pytest.mark.thorough
-def test_crossings_that_are_switched_are_passages_and_a_turn_is_none(
-    passages: dict[str, Any],
-) -> None:
+def test_switched_crossings_are_passages_and_a_turn_is_none(passages: dict[str, Any]) -> None:
     rope = drawn_curve(TREFOIL, np.random.default_rng(0))
     heights = np.linspace(1.0, -1.0, 102)[:, None, None]  # even: none is 0
     steps = rope * np.concatenate([np.ones((102, 1, 2)), heights], axis=2)
@@ -44,7 +42,7 @@ def test_crossings_that_are_switched_are_passages_and_a_turn_is_none(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("text", "values"), [("", (1, 1, 1)), (TREFOIL.chiral, (3, 3, 7))])
-def test_knots_are_told_by_their_polynomial(
+def test_polynomials_tell_knots(
     passages: dict[str, Any], text: str, values: tuple[int, ...]
 ) -> None:
     prime = passages["PRIME"]

@@ -5,6 +5,7 @@ from typing import Any
 
 import gymnasium as gym
 import pytest
+from pytest_types import Patch
 
 from knotgym.cli.options import field_help
 from knotgym.common import InvalidInput
@@ -30,9 +31,7 @@ class Negative(Drawer):
         return 255 - super().image(points, look)
 
 
-def test_an_appearance_is_added_by_one_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_appearance_is_added_by_one_record(tmp_path: Path, monkeypatch: Patch) -> None:
     pytest.importorskip("pyarrow")
     with pytest.raises(InvalidInput, match="must be one of published, line, photo"):
         AppearanceConfig(name="negative")
@@ -61,7 +60,7 @@ def test_an_appearance_is_added_by_one_record(
         gym.make("knotgym/Tie-v0", appearance="negative", depth=True)
 
 
-def test_a_camera_is_added_by_one_record(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_is_added_by_one_record(monkeypatch: Patch) -> None:
     with pytest.raises(InvalidInput, match="must be one of orthographic, perspective"):
         PictureConfig(camera="tele")
     monkeypatch.setitem(CAMERAS, "tele", CAMERAS["perspective"]._replace(says="far", fovy=20.0))

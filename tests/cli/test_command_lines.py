@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.cli.options import numbers, run_folder
 from knotgym.cli.program import COMMANDS, _module_of, application
@@ -26,7 +27,7 @@ MOST_OPTIONS_TOGETHER = 150
 
 
 @pytest.fixture
-def configs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def configs(monkeypatch: Patch) -> list[Any]:
     """The configurations that `evaluate` was run with, instead of running it."""
     found: list[Any] = []
     monkeypatch.setattr(
@@ -36,7 +37,7 @@ def configs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+def here(tmp_path: Path, monkeypatch: Patch) -> dict[str, str]:
     """What lines name: things that are there, and that aren't."""
     folder = tmp_path / "here"
     folder.mkdir()
@@ -89,9 +90,7 @@ def test_a_summary_in_the_list_is_the_first_line_of_the_commands_own_help() -> N
         assert " ".join(command.help.split()) == summary
 
 
-def test_help_fits_80_columns_and_breaks_no_sentence_early(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_help_fits_80_columns_and_breaks_no_line_early(capfd: Capture, monkeypatch: Patch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     for words, _ in leaves(application()):
         assert knotgym(*words, "--help") == 0
@@ -103,9 +102,7 @@ def test_help_fits_80_columns_and_breaks_no_sentence_early(
             assert not (line and first) or len(line.rstrip()) + 1 + len(first) >= 80, (line, words)
 
 
-def test_what_is_typed_counts_before_a_setting_and_a_setting_before_a_file(
-    configs: list[Any], tmp_path: Path
-) -> None:
+def test_what_is_typed_beats_a_setting_and_that_a_file(configs: list[Any], tmp_path: Path) -> None:
     toml, as_json = tmp_path / "a.toml", tmp_path / "a.json"
     toml.write_text("episodes = 3\nseed = 4\n[task]\nhorizon = 9\nhold = 2\n[run]\nworkers = 2\n")
     task = {"horizon": 9, "hold": 2}
@@ -258,7 +255,7 @@ NEEDING_EXTRAS = [  # without the extra, that it is missing is the mistake
     [*REFUSED, *(pytest.param(*row, marks=pytest.mark.clients) for row in NEEDING_EXTRAS)],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(
-    line: str, message: str, here: dict[str, str], capfd: pytest.CaptureFixture[str]
+    line: str, message: str, here: dict[str, str], capfd: Capture
 ) -> None:
     def filled(word: str) -> str:
         for name, there in here.items():
@@ -274,15 +271,13 @@ def test_a_mistake_is_one_line_and_writes_nothing(
 
 
 @pytest.mark.parametrize("words", ["", "--help", "collect --help", "dataset -h", "--version"])
-def test_help_and_version_are_shown_with_status_0(
-    words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_help_and_version_are_shown_with_status_0(words: str, capfd: Capture) -> None:
     assert knotgym(*words.split()) == 0
     assert capfd.readouterr().out.startswith(("Usage: knotgym", "knotgym "))
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "dataset"])
-def test_help_names_every_choice(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_every_choice(command: str, capsys: Capture) -> None:
     run = getattr(import_module(_module_of(command)), command).default_command
     application()([command, "--help"], result_action="return_value")
     shown = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
@@ -320,11 +315,7 @@ print(*sys.modules, file=sys.stderr)
     ],
 )
 def test_a_settings_file_neither_reaches_the_network_nor_names_code(
-    command: str,
-    settings: dict[str, Any],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    command: str, settings: dict[str, Any], tmp_path: Path, monkeypatch: Patch, capfd: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text("open('imported', 'w')\n")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from pytest_types import Capture, Patch
 from synthetic_episodes import TINY
 
 from knotgym.common import Done
@@ -29,7 +29,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def minari_root(collected: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def minari_root(collected: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(collected))
 
 
@@ -44,21 +44,10 @@ def minari_root(collected: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_show_and_verify_take_an_id_or_a_path_and_say_what_they_found(
-    command: str, source: str, said: str, collected: Path, capfd: pytest.CaptureFixture[str]
+    command: str, source: str, said: str, collected: Path, capfd: Capture
 ) -> None:
     assert knotgym("dataset", command, str(source).format(root=collected)) == 0
     assert said in capfd.readouterr().out
-
-
-@pytest.mark.parametrize("source", [ID, STATES])
-def test_pictures_pages_and_films_are_written(
-    source: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    for command, name in (("gallery", "a.png"), ("page", "a.html"), ("replay", "a.gif")):
-        assert knotgym("dataset", command, source, "--out", tmp_path / name) == 0
-        assert f"{name}: " in capfd.readouterr().out
-    with Image.open(tmp_path / "a.png") as sheet:
-        assert sheet.width > 128
 
 
 @pytest.mark.parametrize(
@@ -80,10 +69,7 @@ def test_pictures_pages_and_films_are_written(
     ],
 )
 def test_what_takes_long_with_much_data_counts_what_is_done(
-    words: tuple[str | Path, ...],
-    stages: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str | Path, ...], stages: tuple[str, ...], tmp_path: Path, monkeypatch: Patch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     np.savetxt("curve.csv", trefoil(), delimiter=",")
@@ -122,9 +108,7 @@ def test_without_out_they_stand_beside_what_they_show(tmp_path: Path) -> None:
         ("export {id} --to minari --out {new}/a", "a: a Minari root with 1 datasets"),
     ],
 )
-def test_datasets_are_cut_joined_and_converted(
-    words: str, made: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_datasets_are_cut_and_joined(words: str, made: str, tmp_path: Path, capfd: Capture) -> None:
     typed = words.format(states=STATES, id=ID, new=tmp_path).split()
     assert knotgym("dataset", *typed) == 0
     assert made in capfd.readouterr().out and any(tmp_path.iterdir())

@@ -1,6 +1,7 @@
 """`knotgym doctor` compares digests of a fixed list with those recorded, and says what differs."""
 
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.cli import doctor_command
 
@@ -13,9 +14,7 @@ def test_every_digest_of_the_list_is_as_recorded() -> None:
 
 
 @pytest.mark.parametrize("wrong", [None, "picture"])
-def test_what_differs_is_said_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], wrong: str | None
-) -> None:
+def test_differences_are_one_line(monkeypatch: Patch, capsys: Capture, wrong: str | None) -> None:
     found = {**doctor_command.EXPECTED, **({wrong: "0" * 12} if wrong else {})}
     monkeypatch.setattr(doctor_command, "_measured", lambda: iter(found.items()))
     assert knotgym("doctor") == (1 if wrong else 0)

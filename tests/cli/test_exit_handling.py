@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.cli import program as cli
 from knotgym.common import Failed, InvalidFile, MissingExtra
@@ -38,12 +39,8 @@ def interrupted_in_compiled_code() -> Exception:
         (interrupted_in_compiled_code(), 130, "interrupted before all output was written\n"),
     ],
 )
-def test_an_end_is_one_line(
-    error: BaseException,
-    status: int,
-    line: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+def test_ends_are_lines(
+    error: BaseException, status: int, line: str, monkeypatch: Patch, capfd: Capture
 ) -> None:
     def ended(*_: Any) -> None:
         raise error
@@ -56,7 +53,7 @@ def test_an_end_is_one_line(
 
 @pytest.mark.parametrize("command", ["evaluate", "collect"])
 def test_learners_without_torch_name_the_extra(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    command: str, tmp_path: Path, monkeypatch: Patch, capfd: Capture
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda *_: None)
     monkeypatch.setitem(sys.modules, "torch", None)
@@ -65,9 +62,7 @@ def test_learners_without_torch_name_the_extra(
     assert "the learner pretrained needs torch" in said and said.count("\n") == 1
 
 
-def test_a_fault_of_our_own_is_not_called_the_users_mistake(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fault_of_ours_is_not_called_a_user_s_mistake(monkeypatch: Patch, capfd: Capture) -> None:
     monkeypatch.setattr("knotgym.cli.inspection.show", lambda *_: 1 / 0)
     assert knotgym("dataset", "show", "x") == 1
     said = capfd.readouterr().err
@@ -75,9 +70,7 @@ def test_a_fault_of_our_own_is_not_called_the_users_mistake(
     assert said.splitlines()[-1].startswith("knotgym: this is a bug in knotgym: please report it")
 
 
-def test_an_interrupted_run_names_resume_and_where_its_work_is(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupted_run_names_resume_and_its_folder(monkeypatch: Patch, capfd: Capture) -> None:
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -87,9 +80,7 @@ def test_an_interrupted_run_names_resume_and_where_its_work_is(
     assert ".NAME.partial" in said and "--resume to go on, or with --restart" in said
 
 
-def test_the_alias_of_generate_is_generate(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_alias_of_generate_is_generate(monkeypatch: Patch, capfd: Capture) -> None:
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.setattr("sys.argv", ["knotgym-generate", "--help"])
     with pytest.raises(SystemExit):

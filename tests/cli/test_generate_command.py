@@ -13,6 +13,7 @@ import minari
 import mujoco
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 
 import knotgym as package
 from knotgym.cli.generate_command import _code_list
@@ -93,7 +94,7 @@ def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
     ],
 )
 def test_minari_loads_the_trajectories_of_one_split(
-    curated: Path, states: States, monkeypatch: pytest.MonkeyPatch, name: str, nx: int, split: str
+    curated: Path, states: States, monkeypatch: Patch, name: str, nx: int, split: str
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
     dataset = minari.load_dataset(name)
@@ -117,9 +118,7 @@ def test_minari_loads_the_trajectories_of_one_split(
         assert np.array_equal(env.episodes.goal_points(0), states.points[row])
 
 
-def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
-    curated: Path, tmp_path: Path
-) -> None:
+def test_loaders_read_the_demonstrations_in_a_run_s_folder(curated: Path, tmp_path: Path) -> None:
     name = "minari/knotgym/tie-nx1/demonstrations-v0"
     shutil.copytree(curated / name, tmp_path / name)
     found = arrays(tmp_path, observation="state")
@@ -131,9 +130,7 @@ def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
 # What is refused.
 
 
-def test_too_few_attempts_are_a_failure_that_can_be_resumed(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_too_few_attempts_are_a_failure_that_can_be_resumed(tmp_path: Path, capfd: Capture) -> None:
     # no rope has a clearance of 1000 mm
     hard = ("--set", "limits.clearance=1000.0", "--set", "attempts=1", "--no-demonstrations")
     words = ("--nx", 0, "--count", 1, *hard, "--workers", 1, "--quiet")
@@ -144,9 +141,7 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
 
 
-def test_a_list_of_codes_may_be_sampled_and_filtered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_list_of_codes_may_be_sampled_and_filtered(tmp_path: Path, monkeypatch: Patch) -> None:
     path = tmp_path / "codes.txt"
     path.write_text(
         "\ufeff# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n", "utf-8"

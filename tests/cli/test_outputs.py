@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.runs import RunOptions, staged
 
@@ -80,9 +81,7 @@ Type = Callable[..., int]
 
 
 @pytest.fixture
-def typed(
-    tmp_path: Path, states_path: str, episodes: Path, monkeypatch: pytest.MonkeyPatch
-) -> Type:
+def typed(tmp_path: Path, states_path: str, episodes: Path, monkeypatch: Patch) -> Type:
     """Type a command by its name in COMMANDS, with more words; its exit status."""
 
     def type_it(name: str, *more: str) -> int:
@@ -133,8 +132,8 @@ def everything(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_what_exists_is_refused_in_one_line_and_stays(
-    name: str, typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_what_exists_is_refused_and_stays(
+    name: str, typed: Type, tmp_path: Path, capfd: Capture
 ) -> None:
     path = output_of(name, tmp_path)
     for kind in ("file", "folder", "link to file", "link to folder"):
@@ -155,7 +154,7 @@ def test_what_exists_is_refused_in_one_line_and_stays(
 
 @pytest.mark.parametrize("name", STAGED)
 def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
-    name: str, typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    name: str, typed: Type, tmp_path: Path, capfd: Capture
 ) -> None:
     out = output_of(name, tmp_path)
     left = staging_of(out)
@@ -179,7 +178,7 @@ def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
 
 
 @pytest.mark.parametrize("kind", ["file", "link to file"])
-def test_overwrite_replaces_a_file_and_never_what_a_link_points_to(
+def test_overwrite_replaces_a_file_but_no_link_s_end(
     kind: str, typed: Type, tmp_path: Path
 ) -> None:
     path = output_of("gallery", tmp_path)
@@ -189,8 +188,8 @@ def test_overwrite_replaces_a_file_and_never_what_a_link_points_to(
     assert (tmp_path / "mine" / "file").read_text() == "mine"
 
 
-def test_overwrite_replaces_a_dataset_but_no_folder_of_the_users(
-    typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_overwrite_replaces_datasets_not_folders(
+    typed: Type, tmp_path: Path, capfd: Capture
 ) -> None:
     path = output_of("collect", tmp_path)
     words = ("--episodes", "1", "--set", "task.horizon=1", "--workers", "1", "--overwrite")
@@ -224,7 +223,7 @@ SOURCES = {
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_a_source_is_never_replaced_not_even_with_overwrite(
-    name: str, states_path: str, episodes: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    name: str, states_path: str, episodes: Path, tmp_path: Path, capfd: Capture
 ) -> None:
     if name == "train":
         pytest.importorskip("torch")

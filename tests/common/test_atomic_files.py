@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from pytest_types import Patch
 
 from knotgym.common.atomic_files import atomic_write, remove, require_output, sha256
 from knotgym.common.errors import KnotgymError, Occupied
@@ -17,9 +18,7 @@ class Interrupted(Exception):
     """Any error that stops a writer."""
 
 
-def test_a_file_appears_with_what_was_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_appears_with_what_was_written(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
     with atomic_write("made/on/the way/a.txt") as temporary:
         temporary.write_text("whole")
@@ -128,9 +127,7 @@ def make(kind: str, target: Path) -> None:
         ("thesis", True, "isn't replaced, because thesis in it"),
     ],
 )
-def test_nothing_but_an_output_is_replaced(
-    tmp_path: Path, kind: str, folder: bool, message: str
-) -> None:
+def test_only_an_output_is_replaced(tmp_path: Path, kind: str, folder: bool, message: str) -> None:
     out = tmp_path / "out" if kind else Path()  # as `--out ''` gives it
     if kind:
         make(kind, out)

@@ -49,7 +49,7 @@ def numbers(kind: type) -> list[str]:
     ("kind", "name"), [(kind, name) for kind in CONFIGURATIONS for name in numbers(kind)]
 )
 @pytest.mark.parametrize("nonsense", [float("nan"), "1"])
-def test_every_number_of_every_configuration_refuses_nonsense(
+def test_numbers_of_every_configuration_refuse_nonsense(
     kind: type, name: str, nonsense: Any
 ) -> None:
     with pytest.raises(KnotgymError, match=name) as refused:
@@ -73,9 +73,7 @@ def test_every_number_of_every_configuration_refuses_nonsense(
         ({"seed": object()}, "Outer is made of JSON values"),
     ],
 )
-def test_a_value_that_does_not_fit_is_named_with_its_path(
-    values: dict[str, Any], message: str
-) -> None:
+def test_a_value_that_is_wrong_is_named_with_its_path(values: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
         from_json(Outer, values)
     with pytest.raises(InvalidInput, match="TaskConfig needs the field 'task'"):

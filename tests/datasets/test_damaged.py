@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from pytest_types import Capture
 from synthetic_episodes import TINY
 from synthetic_pictures import picture_rows
 
@@ -31,7 +32,7 @@ COMMANDS = {
 }
 
 
-def refused(command: str, path: Path, capfd: pytest.CaptureFixture[str]) -> str:
+def refused(command: str, path: Path, capfd: Capture) -> str:
     """Run a command that must write nothing; return its one line, or what verify prints."""
     before = {*path.parent.iterdir()}
     words = [word.replace("new", str(path.parent / "new")) for word in COMMANDS[command]]
@@ -56,8 +57,8 @@ def rows() -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("command", [*COMMANDS])
-def test_a_truncated_shard_is_one_line(
-    command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_cut_shards_are_refused(
+    command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: Capture
 ) -> None:
     whole = parquet(table_of(rows))
     (tmp_path / "cut.parquet").write_bytes(whole[: len(whole) // 2])
@@ -66,7 +67,7 @@ def test_a_truncated_shard_is_one_line(
 
 @pytest.mark.parametrize("command", ["page", "split", "verify"])
 def test_pictures_that_hold_infinity_are_one_line(
-    command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: Capture
 ) -> None:
     spoilt = rows[1] | {"points": [float("inf"), *rows[1]["points"][1:]]}
     path = tmp_path / "a.parquet"
@@ -76,8 +77,8 @@ def test_pictures_that_hold_infinity_are_one_line(
 
 @pytest.mark.parametrize("column", ["observation", "force", "applied_fraction"])
 @pytest.mark.parametrize("command", ["page", "verify"])
-def test_episodes_that_hold_infinity_are_one_line(
-    command: str, column: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_infinity_in_steps_is_one_line(
+    command: str, column: str, tmp_path: Path, capfd: Capture
 ) -> None:
     dataset = open_episodes(TINY["random"])
     values = np.array(dataset.episodes.steps[column])
@@ -89,9 +90,7 @@ def test_episodes_that_hold_infinity_are_one_line(
 
 
 @pytest.mark.parametrize("bytes_are_lost", [False, True])
-def test_a_damaged_file_of_minari_is_one_line(
-    bytes_are_lost: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_minari_s_damage_is_one_line(bytes_are_lost: bool, tmp_path: Path, capfd: Capture) -> None:
     merge([str(TINY["random"])], tmp_path, "a/b-v0")
     data = tmp_path / "a/b-v0/data"
     main_data = data / "main_data.hdf5"

@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from pytest_types import Patch
 from synthetic_episodes import TASK, episodes, written
 
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Table, sha256
@@ -56,9 +57,7 @@ def test_a_recording_is_read_as_one_and_has_the_same_digest(tmp_path: Path, file
         columns_of(tmp_path / "r.h5")
 
 
-def test_a_recording_stores_quantized_forces_in_a_byte_each_and_others_to_the_bit(
-    tmp_path: Path,
-) -> None:
+def test_a_recording_stores_quantized_forces_in_bytes_and_others_exactly(tmp_path: Path) -> None:
     made = episodes([3, 1]).recording()
     force = quantized(made.steps["force"]).astype(np.float32)
     whole = made._replace(steps=made.steps.replaced(force=force))
@@ -111,9 +110,7 @@ def test_the_digest_follows_the_pulls_alone() -> None:
     assert digests[0] == digests[1] != digests[2]
 
 
-def test_a_dataset_is_found_by_file_folder_data_folder_and_id(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dataset_is_found_by_file_by_folder_and_by_id(tmp_path: Path, monkeypatch: Patch) -> None:
     data = tmp_path / "root/knotgym/tie-nx2/expert-v0/data"
     data.mkdir(parents=True)
     made = written(data / "episodes.h5", episodes([1]))
@@ -125,9 +122,7 @@ def test_a_dataset_is_found_by_file_folder_data_folder_and_id(
 
 
 @pytest.mark.parametrize("named", ["{root}/private.h5", "a/../../private.h5", "a/b-v0", "../x"])
-def test_states_are_found_by_digest_and_never_by_a_path(
-    named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_states_are_found_by_digest_alone(named: str, tmp_path: Path, monkeypatch: Patch) -> None:
     root, private = tmp_path / "root", tmp_path / "private.h5"
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
     private.write_bytes(b"private")
@@ -165,9 +160,7 @@ def attribute(name: str, old: str, new: str) -> Callable[[h5py.File], None]:
         attribute("form", "columns", "poem"),
     ],
 )
-def test_a_harmed_file_is_one_line(
-    file: Path, tmp_path: Path, harm: Callable[[h5py.File], None]
-) -> None:
+def test_harm_is_one_line(file: Path, tmp_path: Path, harm: Callable[[h5py.File], None]) -> None:
     copy = tmp_path / "copy.h5"
     copy.write_bytes(file.read_bytes())
     with h5py.File(copy, "r+") as opened:

@@ -83,12 +83,6 @@ def test_goals_are_those_found_step_by_step(shown: list[list[int]], hold: int) -
     assert sorted(zip(episode.tolist(), step.tolist(), strict=True)) == pairs
 
 
-def test_last_keeps_one_goal_of_each_episode() -> None:
-    made = showing([0, 1, 2, 1], [0, 0], [1, 0])
-    episode, step = made.goals_reached(relabel="last")
-    assert episode.tolist() == [0, 2] and step.tolist() == [2, 1]
-
-
 def test_states_beyond_the_tow_limit_are_no_goals() -> None:
     made = showing([0, 1, 2])
     points = np.zeros_like(made.steps["observation"])

@@ -14,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from pytest_types import Patch
 from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common import InvalidFile, InvalidInput
@@ -117,7 +118,7 @@ def test_ogbench_files_hold_every_state_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(train["actions"], first["action"])
 
 
-def test_ogbench_files_appear_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ogbench_files_appear_together(tmp_path: Path, monkeypatch: Patch) -> None:
     calls, write = [0, 1], np.savez_compressed
 
     def second_fails(file: Any, **arrays: Any) -> None:
@@ -231,7 +232,7 @@ def lengths(source: Located, target: Path, _: object) -> str:
     return "lengths"
 
 
-def test_a_new_export_is_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_export_is_one_record(tmp_path: Path, monkeypatch: Patch) -> None:
     name = f"{lengths.__module__}:lengths"
     monkeypatch.setitem(EXPORTS, "lengths", Export("lengths alone", name, output="file"))
     one = written(tmp_path / "one.h5", episodes([2, 3]))
@@ -242,9 +243,7 @@ def test_a_new_export_is_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         export(str(one), tmp_path / "x", "poem", replay)
 
 
-def test_a_plain_file_never_lands_in_minaris_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plain_file_never_lands_in_minaris_folder(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     with pytest.raises(InvalidInput, match="Minari's folder"):
         export(EXPERT, tmp_path / "a.h5", "compact", replay)

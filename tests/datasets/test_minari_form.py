@@ -11,6 +11,7 @@ import h5py
 import minari
 import numpy as np
 import pytest
+from pytest_types import Patch
 from synthetic_episodes import TASK, TINY, episodes
 
 from knotgym.datasets.episode_dataset import open_episodes
@@ -48,13 +49,13 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def loaded(root: Path, monkeypatch: pytest.MonkeyPatch) -> minari.MinariDataset:
+def loaded(root: Path, monkeypatch: Patch) -> minari.MinariDataset:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
     return minari.load_dataset(ID)
 
 
-def test_minari_does_with_it_all_that_it_does(
-    root: Path, loaded: minari.MinariDataset, monkeypatch: pytest.MonkeyPatch
+def test_minari_does_all_with_it(
+    root: Path, loaded: minari.MinariDataset, monkeypatch: Patch
 ) -> None:
     check_minari(root, ID, monkeypatch)
     (_, steps), offsets = (made := open_episodes(TINY["expert"]).episodes), made.offsets
@@ -66,9 +67,7 @@ def test_minari_does_with_it_all_that_it_does(
     assert minari.get_normalized_score(loaded, np.array([0.0])) == 0.5
 
 
-def test_minaris_metadata_hold_what_to_normalize_by(
-    root: Path, loaded: minari.MinariDataset
-) -> None:
+def test_minari_metadata_hold_what_normalizes(root: Path, loaded: minari.MinariDataset) -> None:
     stored = loaded.storage.metadata["statistics"]
     own = statistics(root / ID, observation="state")
     for name, stored_as in (("observations", "observations/state"), ("actions", "actions")):
@@ -89,9 +88,7 @@ def test_no_object_of_a_file_has_a_time_so_that_equal_data_have_equal_bytes(root
     assert times == {0}
 
 
-def test_large_sets_and_recordings_have_no_minari_form(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_sets_and_recordings_have_no_minari_form(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.datasets.minari_form.MINARI_STEPS", 2)
     for made, form, has_it in (
         (episodes([3]), "", False),

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Patch
 from synthetic_episodes import TASK, TINY, episodes, written
 
 import knotgym.datasets.page as data_module
@@ -56,9 +57,7 @@ def shown(states_path: str) -> dict[str, Any]:
     return _page_data("run", Located(Path(), Path(states_path), (TINY["expert"],)))
 
 
-def test_a_page_holds_all_states_and_episodes_as_in_the_columns(
-    states: States, shown: dict[str, Any]
-) -> None:
+def test_a_page_holds_all_states_and_episodes(states: States, shown: dict[str, Any]) -> None:
     assert len(shown["states"]) == len(states) and len(shown["episodes"]) == 3
     assert shown["says"] == f"{len(states)} states, 3 episodes"
     (own, steps), offsets = (made := open_episodes(TINY["expert"]).episodes), made.offsets
@@ -111,9 +110,7 @@ def test_pages_at_their_limits_stay_under_10_mb(shown: dict[str, Any]) -> None:
     assert films + states < 9e6
 
 
-def test_a_large_set_is_sampled_and_says_so(
-    states_path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_set_is_sampled_and_says_so(states_path: str, monkeypatch: Patch) -> None:
     monkeypatch.setattr(data_module, "MOST_STATES", 3)
     monkeypatch.setattr(data_module, "MOST_FRAMES", 7)
     monkeypatch.setattr(data_module, "MOST_STEPS", 2)

@@ -151,9 +151,7 @@ def test_a_phone_has_no_sideways_scrolling_and_opens_a_state(tab: Chromium, run_
 
 
 @clients
-def test_markup_in_a_file_is_text_in_the_browser(
-    tab: Chromium, states: States, tmp_path: Path
-) -> None:
+def test_markup_of_files_is_text_in_browsers(tab: Chromium, states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", hostile(states))
     (tmp_path / "p.html").write_text(
         _page_html(_page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))), encoding="utf-8"

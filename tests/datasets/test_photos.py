@@ -78,7 +78,7 @@ def test_a_spoilt_answer_is_found(
     assert any(fault.startswith(said) for fault in faults)
 
 
-def test_croissant_describes_every_factor_of_a_photo(
+def test_croissant_tells_all_factors(
     rows: list[dict[str, Any]], folder: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "data").symlink_to(folder / "data")
@@ -137,9 +137,7 @@ def test_a_webdataset_holds_pictures_strands_and_the_rest(
 
 
 @pytest.mark.clients
-def test_webdataset_reads_what_is_exported(
-    folder: Path, rows: list[dict[str, Any]], tmp_path: Path
-) -> None:
+def test_webdataset_reads_exports(folder: Path, rows: list[dict[str, Any]], tmp_path: Path) -> None:
     tars = pytest.importorskip("webdataset")
     export(str(folder), tmp_path / "tars", "webdataset", replay)
     shards = tars.WebDataset(str(tmp_path / "tars/train-000000.tar"), shardshuffle=False)

@@ -38,9 +38,7 @@ def faults(dataset: EpisodeDataset) -> list[str]:
     return [fault.removeprefix(str(dataset.path)) for fault in _split_faults(dataset)]
 
 
-def test_a_goal_of_another_split_of_no_row_or_not_as_its_row_is_named(
-    tiny: EpisodeDataset, states: States
-) -> None:
+def test_a_goal_of_another_split_or_row_is_named(tiny: EpisodeDataset, states: States) -> None:
     own, leaked = tiny.episodes.episodes, int(states.rows(2, "test")[0])
     goals, points = own["goal"].copy(), own["goal_points"].copy()
     goals[1:], points[1] = (leaked, 10**6), states.points[leaked]
@@ -52,15 +50,13 @@ def test_a_goal_of_another_split_of_no_row_or_not_as_its_row_is_named(
     assert "its goal isn't row" in fault
 
 
-def test_a_whole_dataset_of_the_other_split_is_named_episode_by_episode(
-    tiny: EpisodeDataset,
-) -> None:
+def test_a_dataset_of_the_other_split_is_named_episode_by_episode(tiny: EpisodeDataset) -> None:
     other = replace(tiny, task=replace(tiny.task, split="test"))
     assert {fault.split(":")[0] for fault in faults(other)} == {f", episode {k}" for k in range(3)}
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
-def test_a_start_of_the_other_split_is_named(
+def test_starts_of_another_split_are_named(
     tiny: EpisodeDataset, states: States, noise: float
 ) -> None:
     row = int(states.rows(2, "test")[0])
@@ -84,7 +80,7 @@ def test_the_same_pulls_twice_are_named_whatever_the_seed(tiny: EpisodeDataset) 
     assert _duplicate_faults(silent) == []
 
 
-def test_a_dataset_whose_states_are_gone_cannot_be_checked(
+def test_a_dataset_without_its_states_can_t_be_checked(
     tiny: EpisodeDataset, tmp_path: Path
 ) -> None:
     named = replace(tiny, task=replace(tiny.task, states="gone.h5"), path=tmp_path / "e.h5")

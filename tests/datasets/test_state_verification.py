@@ -56,9 +56,7 @@ def altered(states: States, name: str, at: Any, value: Any) -> States:
         ("source/policy", 1, "random-walk", "seed (6"),
     ],
 )
-def test_an_altered_value_is_found(
-    pair: States, name: str, at: Any, value: Any, fault: str
-) -> None:
+def test_a_changed_value_is_found(pair: States, name: str, at: Any, value: Any, fault: str) -> None:
     row = at if isinstance(at, int) else at[0]
     if value is None:  # the smallest change
         value = np.nextafter(pair.table[name][at], 1)
@@ -83,7 +81,7 @@ def test_measures_may_differ_by_rounding(pair: States) -> None:
         ("random-walk", 27, 30, ENDS_ELSEWHERE),  # one of the shortest walks
     ],
 )
-def test_another_seed_than_that_of_a_drawing_or_a_walk_is_found(
+def test_another_seed_of_drawing_or_walk_is_found(
     name: str, row: int, set_: int, fault: str
 ) -> None:
     states = read_states(shipped(name), images=False).take([row])

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Patch
 from synthetic_episodes import TASK, TINY, episodes, written
 
 import knotgym
 from knotgym.common import InvalidInput, MissingFile
-from knotgym.datasets import Episodes, delete, open_episodes, select, split
+from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.subsets import _matching_rows, _write_rows, kept, merge
 from knotgym.states import read_states, shipped, write_states
@@ -63,9 +64,7 @@ def test_any_other_text_is_refused_in_one_line(text: str, says: str) -> None:
     assert says in str(caught.value) and str(caught.value).isprintable()
 
 
-def test_selected_episodes_are_those_of_the_source_and_tell_of_every_selection(
-    tmp_path: Path,
-) -> None:
+def test_selected_episodes_are_the_source_s_and_tell_of_every_selection(tmp_path: Path) -> None:
     made = written(tmp_path / "a.h5", episodes([3, 1, 4, 2]))
     out = select(made, where="length > 2 and truncated", out=tmp_path / "b.h5")
     found = open_episodes(out)
@@ -91,9 +90,7 @@ def test_a_sample_is_drawn_from_the_seed(tmp_path: Path) -> None:
         select(made, sample=21, out=tmp_path / "e.h5")
 
 
-def test_a_selection_becomes_a_minari_dataset_that_tells_how_it_was_selected(
-    tmp_path: Path,
-) -> None:
+def test_a_selection_becomes_a_minari_dataset_that_says_how_it_was_made(tmp_path: Path) -> None:
     part = select(TINY["expert"], where="length < 10", out=tmp_path / "short.h5")
     merge([str(part)], tmp_path, "knotgym/tie-nx2/short-v0")
     found = open_episodes(tmp_path / "knotgym/tie-nx2/short-v0")
@@ -131,9 +128,7 @@ def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
             split(path, wrong, out=tmp_path / "c.h5")
 
 
-def test_parts_are_replaced_together_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_are_replaced_together_or_not_at_all(tmp_path: Path, monkeypatch: Patch) -> None:
     path, root, calls = written(tmp_path / "a.h5", episodes([1] * 8)), tmp_path / "made", [0, 1]
 
     def second_fails(*words: Any) -> Path:
@@ -166,13 +161,6 @@ def test_states_without_demonstrations_are_split(tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", bare)
     parts = split(tmp_path / "s.h5", "a=0.5,b=0.5", out=tmp_path / "p.h5")
     assert [len(read_states(one)) for one in parts] == [4, 4]
-
-
-def test_merged_files_hold_the_episodes_of_all(tmp_path: Path) -> None:
-    parts = [episodes([2, 1]), episodes([3], seed=1)]
-    paths = [str(written(tmp_path / f"{k}.h5", one)) for k, one in enumerate(parts)]
-    merge(paths, tmp_path / "m.h5")
-    assert open_episodes(tmp_path / "m.h5").episodes.differences(Episodes.merged(parts)) == []
 
 
 def test_a_set_with_macro_actions_and_one_without_are_merged(tmp_path: Path) -> None:

@@ -88,18 +88,6 @@ def test_gymnasium_finds_no_fault(
         check_env(registered(f"knotgym/{task.capitalize()}-v0", **settings).unwrapped)
 
 
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("nx", [1, 2, 3, 4])
-def test_curated_states_serve_every_task_and_split(task: str, nx: int) -> None:
-    for split in ("train", "test"):
-        env = KnotEnv(task, nx=nx, split=split, observation="state")
-        info = env.reset(seed=nx)[1]
-        assert (
-            info["crossings"] == env.config.start_nx
-            and GaussCode.parse(info["goal_gauss_code"]).nx == env.config.goal_nx
-        )
-
-
 @pytest.mark.parametrize(("views", "shape"), [({}, (64, 128, 3)), (THREE_VIEWS, (192, 128, 4))])
 def test_pictures_and_states_show_the_rope_and_then_the_goal(
     make: Make, states: States, views: dict[str, Any], shape: tuple[int, ...]
@@ -328,23 +316,8 @@ def test_a_blown_up_simulation_ends_the_episode_unseen(make: Make, observation: 
     assert same(result, seen)  # the rope has not moved
 
 
-def test_environments_in_one_process_do_not_share(make: Make, states: States) -> None:
-    kinds: list[dict[str, Any]] = [{"split": "train"}, {"split": "test"}, {"reset_noise": 0.1}]
-    alone = [rollout(make("convert", **kind), 0) for kind in kinds]
-    together = [make("convert", **kind) for kind in kinds]
-    seen: list[list[Any]] = [[env.reset(seed=0)] for env in together]
-    for action in np.random.default_rng(0).uniform(-1, 1, (4, 6)).astype(np.float32):
-        for env, results in zip(together, seen, strict=True):
-            results.append(env.step(action))
-    assert same(seen, alone) and not any(same(alone[0], one) for one in alone[1:])
-    for (_, info), kind in zip(next(zip(*seen, strict=True)), kinds, strict=True):
-        assert (
-            states.split[[info["start"], info["goal"]]].tolist() == [kind.get("split", "train")] * 2
-        )
-
-
 @pytest.mark.parametrize("observation", MODES)
-def test_a_pickled_environment_goes_on(
+def test_a_pickled_one_goes_on(
     registered: Callable[..., gym.Env[Any, Any]], observation: str
 ) -> None:
     env = registered("knotgym/Tie-v0", observation=observation, horizon=6)

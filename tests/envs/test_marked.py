@@ -70,16 +70,6 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
         assert np.allclose(symmetry.vectors(ours[2][row]), theirs[2][row])
 
 
-def test_the_frame_maps_there_and_back() -> None:
-    ropes = tangles(20)
-    seen = Marked.of(ropes, [GOALS[0]] * 20)
-    beads = seen.frames.renumber(np.arange(20))
-    assert np.array_equal(seen.frames.renumber(beads), np.arange(20))
-    world = seen.frames.vectors(seen.points, back=True) + seen.frames.centres[:, None]
-    world[seen.frames.reverse] = np.roll(world[seen.frames.reverse, ::-1], 1, axis=1)
-    assert np.allclose(world, ropes)
-
-
 @pytest.mark.parametrize("canonical", [True, False])
 def test_marks_and_tokens_tell_the_code_that_the_points_show(canonical: bool) -> None:
     ropes, goals = tangles(40), [GOALS[row % 3] for row in range(40)]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 from synthetic_pictures import picture_rows
 
 from knotgym.datasets import drawn_table, parquet, read_rows
@@ -70,9 +71,7 @@ def test_the_notebook_and_the_page_of_learning_have_the_lines_of_the_readme() ->
 
 
 @pytest.mark.clients
-def test_the_notebook_ends_with_a_clone_that_beats_random_actions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_notebook_makes_a_clone_that_beats_random(tmp_path: Path, monkeypatch: Patch) -> None:
     nbclient = pytest.importorskip("nbclient")
     for library in ("ipykernel", "torch"):
         pytest.importorskip(library)
@@ -85,9 +84,7 @@ def test_the_notebook_ends_with_a_clone_that_beats_random_actions(
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_every_example_says_how_to_use_it_or_what_it_needs(
-    script: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_example_says_how_to_use_it_or_what_it_needs(script: Path, capsys: Capture) -> None:
     usage = f"\n    python {script.relative_to(ROOT).as_posix()}"
     assert usage in script.read_text(encoding="utf-8")
     try:
@@ -101,9 +98,7 @@ def test_every_example_says_how_to_use_it_or_what_it_needs(
         assert f"usage: {script.name}" in capsys.readouterr().out
 
 
-def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
-    rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_codes_are_read_by_tracing_colours(rope: Rope, tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("pyarrow")
     rows = picture_rows([rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)], "test")
     (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, AppearanceConfig())))
@@ -116,9 +111,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     assert told[-1].startswith("no accepted picture was misread")
 
 
-def test_line_drawings_are_transcribed_to_pd_codes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_line_drawings_are_transcribed_to_pd_codes(tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("pyarrow")
     states = read_states(shipped(), images=False)
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
@@ -138,9 +131,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
 
 
 @pytest.mark.slow
-def test_photos_are_read_and_a_reader_is_trained_on_their_ropes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_photos_are_read_and_a_reader_is_trained_on_them(tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("pyarrow")
     pytest.importorskip("torch")
     look = AppearanceConfig(name="photo")

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from pytest_types import Patch
 from synthetic_episodes import TINY
 
 from knotgym.datasets import MinariMetadata, open_episodes, publish
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.clients
 
 
 @pytest.fixture
-def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def room(tmp_path: Path, monkeypatch: Patch) -> Path:
     """Enter a folder whose Minari root has a few of the expert's episodes under the recipes' id."""
     tiny = open_episodes(TINY["expert"])
     metadata = MinariMetadata(dataset_id=ID, algorithm_name="noisy", description="Few.")
@@ -33,7 +34,7 @@ def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def check_plays(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def check_plays(policy: str, monkeypatch: Patch) -> None:
     """Evaluate a policy as the page does, and check that its rate is written."""
     monkeypatch.delitem(sys.modules, policy, raising=False)
     task = ("--task", "tie", "--nx", 2, "--states", "bench", "--engine", "chain")
@@ -54,9 +55,7 @@ def recipes() -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("library", ["d3rlpy", "torch", "torchrl", "ogbench"])
-def test_a_recipe_of_the_page_trains_and_plays(
-    library: str, room: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recipes_of_the_page_train_and_play(library: str, room: Path, monkeypatch: Patch) -> None:
     pytest.importorskip(library)
     learn, model = recipes()[library]
     for part in (learn, model):
@@ -75,9 +74,7 @@ def test_a_recipe_of_the_page_trains_and_plays(
 @pytest.mark.parametrize(
     "learner", ["DiscreteBC", "BC", "GCBC", "Flow", "IQL", "TD3BC", "GCIVL", "CRL"]
 )
-def test_a_learner_in_torch_trains_and_plays(
-    learner: str, room: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_learner_in_torch_trains_and_plays(learner: str, room: Path, monkeypatch: Patch) -> None:
     pytest.importorskip("torch")
     out = room / f"in_torch_{learner.lower()}.pt"
     run_script(FOLDER / "offline_torch.py", learner, ID, "--steps", 2, "--out", out)

@@ -12,9 +12,7 @@ import pytest
 
 
 @pytest.mark.slow  # compiles for a minute
-def test_a_fresh_compilation_a_cached_one_and_one_for_avx2_collect_the_same_arrays(
-    tmp_path: Path,
-) -> None:
+def test_fresh_and_cached_compilations_and_one_for_avx2_collect_the_same(tmp_path: Path) -> None:
     narrow = {
         "NUMBA_CPU_NAME": "haswell",
         "NUMBA_CPU_FEATURES": "+sse4.2,+popcnt,+avx,+avx2,+bmi,+bmi2,+fma",

@@ -7,13 +7,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.common import InvalidInput, Stream, sha256
 from knotgym.control import PolicyConfig, PullPlannerConfig, verify
 from knotgym.datasets import columns_of, merge, open_episodes, select, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import collection as collecting
-from knotgym.generate.collection import _distinct_id, blocks, collect, run_facts
+from knotgym.generate.collection import _distinct_id, collect, run_facts
 from knotgym.generate.episode_configs import CollectConfig
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions
@@ -93,22 +94,12 @@ def test_a_set_of_steps_is_verified_by_the_episodes_that_they_took(tmp_path: Pat
     assert any("its seed is none of the run's" in fault for fault in faults), faults
 
 
-def test_progress_counts_episodes_not_blocks(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_progress_counts_episodes_not_blocks(tmp_path: Path, capfd: Capture) -> None:
     collect(config(episodes=70), tmp_path, replace(QUIET, quiet=False))
     assert "episodes: 70 of 70; reached the goal " in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("episodes", [1, 63, 200, 5000, 100_000])
-def test_blocks_are_about_equal_and_hold_every_episode(episodes: int) -> None:
-    for engine, plans, most in (("chain", False, 1024), ("chain", True, 64), ("mujoco", True, 8)):
-        made = blocks(episodes, TaskConfig(task="tie", engine=engine), plans)
-        assert [k for few in made for k in few] == list(range(episodes))
-        assert max(map(len, made)) - min(map(len, made)) <= 1 and max(map(len, made)) <= most
-
-
-def test_bytes_do_not_depend_on_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bytes_do_not_depend_on_blocks(tmp_path: Path, monkeypatch: Patch) -> None:
     one = collect(config(), tmp_path / "one", QUIET)
     monkeypatch.setattr(collecting, "blocks", lambda *_: [range(2), range(2, 3), range(3, 6)])
     two = collect(config(), tmp_path / "two", QUIET)
@@ -135,8 +126,8 @@ def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> N
     assert [path.parents[1] for path in tmp_path.rglob("episodes.h5")] == [folder]
 
 
-def test_a_dataset_holds_the_digests_of_what_made_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, states_path: str
+def test_datasets_hold_digests_of_origin(
+    tmp_path: Path, monkeypatch: Patch, states_path: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
@@ -172,9 +163,7 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
     assert ids[0] == "knotgym/tie-nx2/expert-v0" and len(set(ids)) == len(ids)
 
 
-def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sets_of_several_tasks_are_collected_and_merged(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     rules = ("--set", "task.horizon=2", "--set", "task.max_goals=2")
     words = ("--episodes", 9, "--policy", "random", "--engine", "chain", *rules)

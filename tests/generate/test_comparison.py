@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from pytest_types import Capture
 
 from knotgym.common import InvalidFile
 from knotgym.control import PolicyConfig
@@ -43,9 +44,7 @@ def test_an_entry_compares_as_the_results_that_were_counted(made: Made) -> None:
         assert one.cell == other.cell and one.result.outcomes == other.result.outcomes
 
 
-def test_the_command_draws_each_difference(
-    made: Made, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_command_draws_each_difference(made: Made, capsys: Capture, tmp_path: Path) -> None:
     assert knotgym("compare", *made) == 0
     said = capsys.readouterr().out
     assert "scores" in said and "3 of 3 paired" in said and "o" in said

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.common import KnotgymError, Table, read_tables, write_tables
 from knotgym.control import PolicyConfig
@@ -56,9 +57,7 @@ def test_replaying_counts_what_was_counted(made: Made) -> None:
     assert said[0]["files"] and said[0]["plans"] and not said[1]["plans"]
 
 
-def test_an_entry_claims_what_the_module_of_its_policy_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_entry_claims_what_its_policy_s_module_says(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
     card = {"learner": "none", "data": {"knotgym/a-v0": "0" * 64}, "parameters": 0, "updates": 0}
     text = f"CARD = {card}\nact = lambda observation: [0.0] * 6\n"
@@ -81,7 +80,7 @@ def test_a_step_takes_few_bytes(tmp_path: Path, policy: str, most: int) -> None:
     assert not rows_of(tmp_path / "entry.h5")[1]
 
 
-def test_the_command_verifies_an_entry(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_verifies_an_entry(made: Made, capsys: Capture) -> None:
     assert knotgym("dataset", "verify", made[0]) == 0
     said = "".join(capsys.readouterr())
     assert "expert" in said and "claimed" in said and "all replayed" in said

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.common import Failed, InvalidFile
 from knotgym.control import dataset_faults
@@ -72,7 +73,7 @@ def test_pictures_are_as_many_as_asked_for_show_their_codes_and_differ(
     assert list(dataset_faults(folder)) == []
 
 
-def test_a_leak_between_splits_is_found(
+def test_leaks_among_splits_are_found(
     folder: Path, rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     copy = tmp_path / "copy"
@@ -129,8 +130,8 @@ def test_commands_on_datasets_know_a_folder_of_pictures(
     said: str,
     folder: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    monkeypatch: Patch,
+    capsys: Capture,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
@@ -157,9 +158,7 @@ def test_all_frames_of_a_rope_and_all_of_a_held_out_code_are_in_one_split(tmp_pa
 @pytest.mark.parametrize(
     "appearance", [AppearanceConfig(name="line"), AppearanceConfig(vary=("colours",))]
 )
-def test_pictures_without_marks_hold_out_diagrams(
-    appearance: AppearanceConfig, tmp_path: Path
-) -> None:
+def test_unmarked_pictures_hold_out_diagrams(appearance: AppearanceConfig, tmp_path: Path) -> None:
     config = ImagesConfig(
         nx=(3,), test_nx=None, count=24, code_share=0.25, engine="chain", appearance=appearance
     )
@@ -191,9 +190,7 @@ def test_ropes_start_from_an_included_set_by_its_name(tmp_path: Path) -> None:
     assert list(read_rows(make_images(config, tmp_path / "table", options, states="bench")))
 
 
-def test_states_that_give_no_more_pictures_end_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_states_that_give_no_more_pictures_end_it(tmp_path: Path, monkeypatch: Patch) -> None:
     config = ImagesConfig(nx=(1,), count=4, pulls=2, idle=2, engine="chain", limits=NOTHING)
     with pytest.raises(Failed, match=r"0 of 4 pictures found, then none in 2 waves of ropes"):
         made(tmp_path / "table", config)
@@ -218,7 +215,7 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
 
 
 def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     (tmp_path / "datasets.py").write_text("def load_dataset(*_, **__): return 'theirs'\n")
     monkeypatch.setattr(sys, "path", [str(ROOT), str(tmp_path)])
@@ -248,7 +245,7 @@ def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[st
 
 
 @pytest.fixture
-def hugging_face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def hugging_face(tmp_path: Path, monkeypatch: Patch) -> Any:
     """Hugging Face's library, with a cache that goes away; not the checkout's folder of that name,
     which `python -m pytest` would find first.
     """

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from pytest_types import Capture
 
 from knotgym.common import InvalidInput
 from knotgym.control import verify
@@ -229,13 +230,6 @@ def test_sizes_are_limited_before_anything_is_parsed(tmp_path: Path) -> None:
         read_curves(tmp_path / "bomb.npz")
 
 
-@given(st.integers(0, 3), st.lists(st.integers(0, 299), max_size=40), st.booleans())
-def test_repeated_points_change_no_code(number: int, repeated: list[int], again: bool) -> None:
-    points = knot(number)
-    written = np.repeat(points, 1 + np.bincount(repeated, minlength=300)[: len(points)], axis=0)
-    assert _shown_code(closed(written) if again else written, ROPE) == label(points)
-
-
 @given(st.sampled_from(sorted(ONE)), st.lists(st.tuples(st.integers(0), st.binary(max_size=3))))
 def test_any_file_is_curves_or_refused(
     tmp_path_factory: pytest.TempPathFactory, name: str, edits: list[tuple[int, bytes]]
@@ -278,9 +272,7 @@ def test_a_knotted_curve_is_laid_with_its_code_and_knot(tmp_path: Path) -> None:
     assert verify(tmp_path / "states.h5") == []
 
 
-def test_refused_curves_and_files_are_named_and_the_others_imported(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_refused_curves_are_named_and_the_others_imported(tmp_path: Path, capfd: Capture) -> None:
     text = table(numbered(trefoil(), "good") + numbered(SHADOW, "shadow"))
     mixed = wrote(tmp_path / "mixed.csv", text)
     link = wrote(tmp_path / "link.vect", vect(A, B))

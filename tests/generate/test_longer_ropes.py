@@ -10,8 +10,6 @@ import knotgym
 from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy
 from knotgym.envs import KnotEnv, TaskConfig
-from knotgym.generate import CollectConfig
-from knotgym.generate.collection import _distinct_id
 from knotgym.rendering import PictureConfig, draw
 from knotgym.rope import RopeConfig
 from knotgym.states import merge_states, read_states, shipped
@@ -51,12 +49,6 @@ def test_an_environment_has_the_rope_that_it_is_told_and_no_other(states: Path) 
         KnotEnv("unknot", **given)
     with pytest.raises(InvalidInput, match="has ropes of 100 beads, got beads = 60; use 100"):
         KnotEnv("unknot", beads=BEADS)
-
-
-def test_a_set_of_crossings_that_need_beads_has_an_id() -> None:
-    task = TaskConfig(task="tie", nx=22, beads=200)
-    config = CollectConfig(task=task, policy=PolicyConfig(policy="random"))
-    assert _distinct_id(config).startswith("knotgym/tie-nx22/random-")
 
 
 def test_ropes_are_not_mixed(states: Path) -> None:

@@ -45,9 +45,7 @@ def test_a_replay_gives_the_same_arrays(played: Episodes, path: Path) -> None:
     assert played.select([1, 2]).differences(part) == []
 
 
-def test_the_same_recordings_give_the_same_bytes(
-    played: Episodes, path: Path, tmp_path: Path
-) -> None:
+def test_equal_recordings_give_equal_bytes(played: Episodes, path: Path, tmp_path: Path) -> None:
     Recording.write_all(tmp_path / "again.h5", [*Recording.read_all(path).values()][::-1])
     assert (tmp_path / "again.h5").read_bytes() == path.read_bytes()
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Patch
 
 from knotgym.common import Failed, Stream, from_json
 from knotgym.control import dataset_faults
-from knotgym.datasets import Episodes, open_episodes
 from knotgym.generate import drawing_source, generate_config, state_recipe
 from knotgym.generate.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.generate_config import GenerateConfig, PlayConfig
@@ -24,7 +24,7 @@ from knotgym.quality import Limits
 from knotgym.rope import Rope
 from knotgym.runs import Result, RunOptions, compute
 from knotgym.states import SOURCES, States, pairs_within, read_states
-from knotgym.topology import GaussCode, label
+from knotgym.topology import GaussCode
 
 ALONE = RunOptions(workers=1, quiet=True)
 DRAWN = GenerateConfig(nx=(0, 1), every_code=1, demonstrations=False, engine="chain")
@@ -62,7 +62,7 @@ def shaken_rows(config: GenerateConfig, report: dict[str, Any], apart_from: Any)
     return rows.replaced(**{"source/policy": np.full(rows.rows, "shaken")})
 
 
-def test_a_source_is_a_record(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_source_is_a_record(monkeypatch: Patch, tmp_path: Path) -> None:
     shaken = SOURCES["drawing"]._replace(
         doc="drawn and shaken.",
         rows=shaken_rows,
@@ -101,9 +101,7 @@ def test_many_states_of_few_codes_are_taken_by_play_and_the_others_drawn() -> No
     assert {one.engine for one in many} == {"chain"}  # a file of states has one engine
 
 
-def test_states_of_two_sources_are_in_order_and_none_is_near_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_states_of_two_sources_are_in_order_and_apart(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr(generate_config, "_DRAWN", 1)
     config = replace(PLAYED, nx=(2, 0), count=2, source="auto", engine="auto")
     folder = make_states(config, tmp_path / "both", ALONE)
@@ -119,7 +117,7 @@ def test_states_of_two_sources_are_in_order_and_none_is_near_another(
 
 
 @pytest.mark.parametrize("source", ["drawn", "played", "walked"])
-def test_every_row_is_recomputed_and_replays_bit_for_bit(
+def test_every_row_is_recomputed_and_replays_exactly(
     source: str, request: pytest.FixtureRequest
 ) -> None:
     assert list(dataset_faults(request.getfixturevalue(source))) == []
@@ -157,9 +155,7 @@ def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) 
     assert same(compute(source(config, {}), memory), compute(source(config, {})))
 
 
-def test_a_code_without_demonstration_is_named_in_the_card(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_code_without_demonstration_is_on_the_card(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.generate.state_recipe.HORIZON", 1)
     config = replace(DRAWN, nx=(1,), count=1, every_code=0, demonstration_attempts=1)
     folder = make_states(replace(config, demonstrations=True), tmp_path / "out", ALONE)
@@ -178,7 +174,7 @@ def test_a_run_that_gives_up_goes_on_with_more_attempts(tmp_path: Path) -> None:
 
 
 def test_several_calls_draw_the_last_codes_and_more_attempts_give_what_they_would_have_given(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: Patch,
 ) -> None:
     config = replace(DRAWN, nx=(1,), every_code=0, count=3, attempts=30)
     ((stubborn, wanted),) = WantedCodes(config, 1).lacking().most_common(1)
@@ -201,30 +197,7 @@ def test_several_calls_draw_the_last_codes_and_more_attempts_give_what_they_woul
     assert same(more, compute(drawn_rows(replace(config, attempts=60), {})))
 
 
-def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_counts(
-    drawn: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    states, tried = states_in(drawn), list[tuple[int, list[int]]]()
-    whole = Episodes.merged(
-        [open_episodes(path).episodes for path in drawn.glob("minari/**/episodes.h5")]
-    )
-
-    def stub(task: Any, seed: int, goals: list[int], attempt: int) -> Result:
-        tried.append((attempt, goals))
-        reached = [goal for goal in goals if goal != 1 or attempt >= 3]
-        found = whole.select(np.isin(whole.episodes["goal"], reached))
-        return {**found.columns(), "episodes/seed": np.full(len(reached), attempt)}
-
-    monkeypatch.setattr(state_recipe, "_demonstrate", stub)
-    config = replace(DRAWN, demonstrations=True)
-    found = compute(state_recipe._demonstrated(config, states, len(states), drawn / "states.h5"))
-    assert {goal: one.episodes["seed"][0] for goal, one in found.items()} == {0: 0, 1: 3, 2: 0}
-    assert [attempt for attempt, goals in tried if 1 in goals] == [0, 1, 2, 3, 4, 5]
-
-
-def test_starts_of_demonstrations_are_apart_from_the_set_and_from_the_other_split(
-    drawn: Path,
-) -> None:
+def test_starts_of_demonstrations_are_apart_from_the_set_and_by_split(drawn: Path) -> None:
     states = read_states(drawn / "states.h5")
     train = states.replaced({"split": np.full(len(states), "train")})
     starts, split = compute(state_recipe._start_rows(DRAWN, train))
@@ -234,7 +207,7 @@ def test_starts_of_demonstrations_are_apart_from_the_set_and_from_the_other_spli
     assert pairs_within(*sides) == []
 
 
-def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: Patch) -> None:
     coiled, loop = PhasedPulls.coil(rope), rope.loop()
     assert judge(loop, [Limits(), Limits.UNTWISTED]).faults == []
     assert "crossing_angle" in judge(coiled, [Limits()]).faults
@@ -253,9 +226,3 @@ def test_a_selection_refuses_near_duplicates_up_to_symmetry(played: Path) -> Non
     assert selection.offer(rows, 0)
     assert not selection.offer(mirrored, 0)
     assert selection.rejected[1] == {"near-duplicate": 1} and len(selection.rows()["nx"]) == 1
-
-
-def test_the_coil_is_as_small_as_the_published_one(rope: Rope) -> None:
-    points = PhasedPulls.coil(rope)
-    radius = np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
-    assert label(points).nx == 1 and 0.10 < radius < 0.12

@@ -10,6 +10,7 @@ from typing import Any
 
 import h5py
 import pytest
+from pytest_types import Patch
 
 from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import open_episodes, write_episodes
@@ -85,9 +86,7 @@ def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path
     [("force", "differs from episode 0"), ("reward", "differs when played again")]
     + [(name, "differs from") for name in ("action", "terminated", "macro_side")],
 )
-def test_a_set_that_was_changed_is_not_the_same(
-    column: str, said: str, made: Path, tmp_path: Path
-) -> None:
+def test_a_changed_set_isn_t_the_same(column: str, said: str, made: Path, tmp_path: Path) -> None:
     data = shutil.copytree(made / ID.format("expert"), tmp_path / "expert-v0") / "data"
     if said == "differs from":  # its digest isn't made to fit
         with h5py.File(data / "episodes.h5", "a") as file:
@@ -119,9 +118,7 @@ def test_finished_sets_are_kept_and_the_missing_ones_made(made: Path, tmp_path: 
         assert run_facts(made / name)["config"] == run_facts(tmp_path / name)["config"]
 
 
-def test_a_machine_that_simulates_otherwise_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_that_simulates_otherwise_says_so(tmp_path: Path, monkeypatch: Patch) -> None:
     def other(made: Path) -> dict[str, Any]:
         return {**_describe_set(made), "recorded": "differs from episode 1"}
 

@@ -62,9 +62,7 @@ def test_the_curve_and_the_card_say_how_it_was_trained(learner: Path) -> None:
         ({"integrator_steps": 30, "engine": "mujoco"}, "30 integrator steps"),
     ],
 )
-def test_other_kinds_are_refused(
-    changes: Any, message: str, played: Episodes, tmp_path: Path
-) -> None:
+def test_others_are_refused(changes: Any, message: str, played: Episodes, tmp_path: Path) -> None:
     other = published(tmp_path, played, replace(TASK, **changes))
     with pytest.raises(InvalidInput, match=message):
         train([other], tmp_path / "new", READER)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Patch
 from synthetic_episodes import BEADS, TASK, TINY, episodes, written
 
 from knotgym.common import InvalidFile, InvalidInput, Occupied, Table
@@ -56,9 +57,7 @@ OWNERS = np.repeat(np.arange(S), LENGTHS)
 
 
 @pytest.mark.parametrize("block", [5, 1024])
-def test_rows_align(
-    made: Episodes, path: Path, block: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_align(made: Episodes, path: Path, block: int, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.loaders.drawn_frames._BLOCK", block)  # of states that are copied
     held = arrays(path)
     goals = made.episodes["goal_points"][OWNERS]
@@ -225,15 +224,6 @@ def test_an_empty_dataset_is_empty_and_a_recording_refused(tmp_path: Path, made:
     )
 
 
-def test_transitions_pickle_without_their_data(path: Path) -> None:
-    stored = pickle.dumps(Transitions(path, relabel="all"))
-    again = pickle.loads(stored)
-    assert len(stored) < 2000
-    np.testing.assert_array_equal(
-        again.batch([3])["observations"], arrays(path, relabel="all")["observations"][[3]]
-    )
-
-
 def test_sequences_are_views_of_the_columns(made: Episodes, path: Path) -> None:
     data = Sequences(path, 3)
     assert data.starts.tolist() == [0, 1, 6, 7, 8, 9, 10, 13]
@@ -316,7 +306,7 @@ def test_several_datasets_load_as_one(tmp_path: Path) -> None:
         arrays([two[0], tmp_path / "hold.h5"])
 
 
-def test_statistics_are_those_of_the_arrays(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_statistics_are_those_of_the_arrays(path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.loaders.converters._AT_ONCE", 5)
     held = arrays(path)
     found = statistics(path)

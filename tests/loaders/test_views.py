@@ -38,7 +38,7 @@ def nearest(known: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("observation", "frame"), VIEWS)
 @pytest.mark.parametrize("action", ["decision", "pull", "macro"])
-def test_what_is_read_and_acted_out_are_the_pulls(
+def test_what_is_acted_out_are_the_pulls(
     observation: str, frame: str, action: str, played_back: Any
 ) -> None:
     data = arrays(TINY["expert"], observation=observation, action=action, frame=frame)

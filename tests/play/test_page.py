@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Patch
 
 from knotgym.common import Failed
 from knotgym.envs import TaskConfig
@@ -177,9 +178,7 @@ def test_the_page_is_served_to_whatever_leads_to_the_loopback(page: Page, host: 
     assert answer.status == 200 and b"<!doctype html>" in answer.read()
 
 
-def test_no_tab_can_open_a_tunnel_to_a_public_host(
-    page: Page, tab: Tab, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_tab_opens_a_tunnel_to_a_public_host(page: Page, tab: Tab, monkeypatch: Patch) -> None:
     from viser import _viser
 
     opened: list[Any] = []
@@ -191,9 +190,7 @@ def test_no_tab_can_open_a_tunnel_to_a_public_host(
 
 
 @pytest.mark.usefixtures("tab")
-def test_a_full_disk_is_told_and_the_tab_goes_on(
-    page: Page, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_told_and_the_tab_goes_on(page: Page, monkeypatch: Patch) -> None:
     player, told = page.players[0], list[Any]()
     monkeypatch.setattr(player._client, "add_notification", lambda *said, **_: told.append(said))
 

@@ -84,9 +84,7 @@ def test_a_recording_is_a_dataset(session: Session, recorder: Recorder) -> None:
     assert not found.steps["force"][3:].any()  # completed by leaving the rope alone
 
 
-def test_a_killed_session_loses_nothing_and_stores_nothing_twice(
-    session: Session, tmp_path: Path
-) -> None:
+def test_a_killed_session_loses_and_doubles_nothing(session: Session, tmp_path: Path) -> None:
     for number in (0, 1):
         session.begin(number)
         played(session)
@@ -122,9 +120,7 @@ def test_an_episode_whose_storing_failed_has_its_last_pull_when_it_is_recovered(
     assert beads.tolist() == [bead for bead, _ in PULLS]
 
 
-def test_an_episode_in_which_a_policy_pulled_is_never_stored(
-    session: Session, tmp_path: Path
-) -> None:
+def test_an_episode_that_a_policy_pulled_in_is_not_stored(session: Session, tmp_path: Path) -> None:
     session.pull(*PULLS[0])
     session.let_act(PolicyConfig(policy="random"))
     session.pull(*PULLS[1])

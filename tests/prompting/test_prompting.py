@@ -102,9 +102,7 @@ def test_wrong_answers_are_counted_apart_and_leave_the_rope_alone(tmp_path: Path
     assert result["answers"]["valid"] == 1 and result["retries"] == {}
 
 
-def test_truncation_reasoning_and_unknown_usage_stand_in_transcript_and_summary(
-    tmp_path: Path,
-) -> None:
+def test_truncation_reasoning_and_unknown_usage_are_in_the_transcript(tmp_path: Path) -> None:
     cut_off = completion({"content": PULL, "reasoning_content": "so"}, "length", usage=None)
     server = ChatServer(always(cut_off))
     ((told,), result) = played(server, tmp_path / "run", "open")

@@ -157,9 +157,7 @@ def test_states_that_ship_are_legible_and_have_the_measures_stored_with_them() -
 
 @pytest.mark.parametrize("row", range(57, 177, 20))
 @pytest.mark.parametrize("walk", [measures.WALK, 40.0])
-def test_strands_are_different_where_every_path_over_the_picture_is_long(
-    row: int, walk: float
-) -> None:
+def test_strands_differ_where_every_path_over_the_picture_is_long(row: int, walk: float) -> None:
     points = np.roll(SHIPPED.points[row], 30, axis=0)  # short paths lead over the base too
     found = find_crossings(points).strand_spacing(points[:, :2] / PIXEL, walk)
     assert found == pytest.approx(spacing_by_graph(points, walk), rel=1e-9)
@@ -239,9 +237,7 @@ BOUNDS = [
 
 
 @pytest.mark.parametrize(("limits", "name"), BOUNDS)
-def test_a_measure_beyond_its_limit_is_named_and_one_at_it_is_not(
-    limits: Limits, name: str
-) -> None:
+def test_a_measure_beyond_its_limit_is_named_one_at_it_is_not(limits: Limits, name: str) -> None:
     bound = getattr(limits, name)
     measured = "total_curvature" if name == "curvature_per_crossing" else name
     if name == "curvature_per_crossing":

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pytest_types import Patch
 
 from knotgym.rope.actions import quantized
 from knotgym.rope.macro_actions import (
@@ -23,9 +24,7 @@ def drawn(rope: Rope, count: int = 300, seed: int = 0) -> list[MacroAction]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_passes_and_curls_pass_strands(
-    rope: Rope, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_passes_and_curls_pass_strands(rope: Rope, kind: str, monkeypatch: Patch) -> None:
     shares = np.cumsum([one == kind for one in KINDS])
     monkeypatch.setattr("knotgym.rope.macro_actions._CUMULATIVE", shares)
     moves = drawn(rope, 100)

@@ -1,6 +1,5 @@
 """The rope model matches the published one, and configurations and qpos convert without loss."""
 
-import hashlib
 from dataclasses import fields
 from typing import Any
 
@@ -10,13 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import NonNegativeFloat
 
 from knotgym.common import InvalidInput, configuration
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.closed_curves import _add_solution, noised, start_qpos
+from knotgym.rope.closed_curves import noised, start_qpos
 from knotgym.rope.interface import Simulation
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
@@ -174,30 +172,12 @@ def test_what_is_no_rope_is_refused(rope: Rope, curve: NDArray[np.float64], mess
     assert "\n" not in str(caught.value)
 
 
-def test_equations_are_solved_with_the_same_bits_on_every_processor() -> None:
-    rng = np.random.default_rng(5)
-    matrices, vectors = rng.normal(size=(500, 3, 3)), rng.normal(size=(500, 3))
-    found, add_solution = np.zeros_like(vectors), njit(_add_solution.py_func)
-    for matrix, vector, solution in zip(matrices, vectors, found, strict=True):
-        add_solution(np.concatenate([matrix, vector[:, None]], axis=1), solution)
-    assert np.allclose(np.einsum("nij,nj->ni", matrices, found), vectors, atol=1e-9)
-    # the bits of np.linalg.solve on processors with AVX2, on which the shipped recordings were made
-    assert hashlib.sha256(found.tobytes()).hexdigest().startswith("6da70531850c8fc9")
-
-
 # noise at reset keeps a rope closed, its beads equal and its code
 
 
 def moved_by(points: NDArray[np.float64], scale: float, seed: int) -> NDArray[np.float64]:
     """Noise on one rope."""
     return noised(points[None], scale, [np.random.default_rng(seed)])[0]
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.2))
-@settings(max_examples=60)
-def test_noise_keeps_beads_equal_and_the_rope_closed(seed: int, scale: float) -> None:
-    moved = moved_by(ROPE.loop(), scale, seed)
-    assert np.abs(chords(moved) - BEAD).max() < 1e-9
 
 
 def test_noise_on_a_moving_rope_is_exactly_closed(rope: Rope, tangled: NDArray[np.float64]) -> None:

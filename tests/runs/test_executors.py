@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pytest_types import Patch
 
 from knotgym.common import Failed, InvalidInput
 from knotgym.runs.journal import Journal
@@ -28,9 +29,7 @@ def on(scheduler: str) -> RunOptions:
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://127.0.0.1:port"])
-def test_a_scheduler_that_does_not_answer_is_one_line(
-    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_silent_scheduler_is_one_line(address: str, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.runs.executors.TIMEOUT", 1.0)
     with pytest.raises(InvalidInput, match="no Dask scheduler with workers answers at"):
         RECIPES["toy"](tmp_path / "a", on(address))
@@ -74,9 +73,7 @@ def cluster(room: Path) -> Iterator[Cluster]:
 
 
 @pytest.mark.parametrize("name", ["toy", "images"])
-def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_worker_changes_no_byte(name: str, tmp_path: Path, monkeypatch: Patch) -> None:
     def kill_one(self: Journal, *arguments: Any) -> None:
         kept(self, *arguments)
         began[0].kill()
@@ -89,8 +86,8 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
     assert content(there) == content(here)
 
 
-def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_dead_scheduler_is_one_line_and_the_run_goes_on(
+    tmp_path: Path, monkeypatch: Patch
 ) -> None:
     def kill_all(self: Journal, *arguments: Any) -> None:
         kept(self, *arguments)

@@ -16,9 +16,7 @@ STARTS, GOALS, EPISODES = 20, 9, 256  # of a cell of the benchmark whose goals a
     ("successes", "trials", "low", "high"),
     [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (10, 10, 0.7225, 1.0)],
 )
-def test_wilson_s_interval_is_the_textbook_s(
-    successes: int, trials: int, low: float, high: float
-) -> None:
+def test_wilson_intervals_are_exact(successes: int, trials: int, low: float, high: float) -> None:
     assert _wilson(successes, trials) == pytest.approx((low, high), abs=1e-4)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytest_types import Capture, Patch
 from rich.console import Console
 
 from knotgym.common import Counts
@@ -26,7 +27,7 @@ def ends_three(number: int) -> dict[str, Any]:
     return {"number": np.array(number)}
 
 
-def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -> None:
     kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))  # nothing compiled there
     monkeypatch.setattr("knotgym.topology.scan", kernel)
     stages: list[str] = []
@@ -36,7 +37,7 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_first_environment_says_once_that_it_compiles(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
     kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))
     monkeypatch.setattr("knotgym.topology.scan", kernel)
@@ -46,9 +47,7 @@ def test_a_first_environment_says_once_that_it_compiles(
     assert [one.getMessage() for one in caplog.records] == ["compiling, in the first run only"]
 
 
-def test_a_terminal_is_told_while_printed_words_go_elsewhere(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_terminal_is_told_while_printed_words_go_elsewhere(monkeypatch: Patch) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
@@ -72,14 +71,12 @@ def shown(*done: int) -> str:
     return written.getvalue()
 
 
-def test_a_plain_run_says_nothing_before_its_first_stage(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_plain_run_says_nothing_before_its_first_stage(capsys: Capture) -> None:
     with Progress():
         assert capsys.readouterr() == ("", "")  # a mistake may follow, which is one line
 
 
-def test_work_without_a_count_is_named_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_without_a_count_is_named_again_and_again(monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
     written = io.StringIO()
     with Progress(console=Console(file=written, width=200)) as progress:
@@ -91,9 +88,7 @@ def test_work_without_a_count_is_named_again_and_again(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_items_count_as_they_end_before_their_call_returns(
-    workers: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_items_count_when_they_end_not_when_calls_return(workers: int, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
     monkeypatch.syspath_prepend(Path(__file__).parents[2])  # workers import this module
     written = io.StringIO()
@@ -130,9 +125,7 @@ def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:
     assert shown(*[0] * 9, 1, 9).endswith("; time left 0:00:03\n")
 
 
-def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(capfd: Capture) -> None:
     now = [0.0]
     progress = Progress(lines=False, clock=lambda: now[0])
     for done, now[0] in enumerate((1.0, 5.0, 12.0, 13.0)):

@@ -20,6 +20,7 @@ from threading import Barrier
 from typing import Annotated
 
 import pytest
+from pytest_types import Capture, Patch
 
 from knotgym.common import Failed, InvalidInput, Mark, MissingFile, Occupied, sha256
 from knotgym.control import PolicyConfig
@@ -54,8 +55,8 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Unbroken:
 
 
 @every_recipe
-def test_two_processes_make_the_same_bytes(
-    name: str, tmp_path: Path, unbroken: Unbroken, monkeypatch: pytest.MonkeyPatch
+def test_processes_change_no_byte(
+    name: str, tmp_path: Path, unbroken: Unbroken, monkeypatch: Patch
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT))  # workers import the recipes by name
     out = RECIPES[name](tmp_path / name, replace(QUIET, workers=2))
@@ -87,9 +88,7 @@ def test_a_run_that_is_killed_again_and_again_makes_the_same_bytes(
 
 
 @every_recipe
-def test_three_shards_merge_to_the_same_bytes(
-    name: str, tmp_path: Path, unbroken: Unbroken
-) -> None:
+def test_three_shards_make_the_same_bytes(name: str, tmp_path: Path, unbroken: Unbroken) -> None:
     out, make = tmp_path / name, RECIPES[name]
     for number in (2, 1, 3):
         left = make(out, replace(QUIET, shard=Shard(number, 3)))
@@ -100,14 +99,12 @@ def test_three_shards_merge_to_the_same_bytes(
     assert content(make(out, QUIET)) == unbroken(name)
 
 
-def test_a_shard_without_work_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_shard_without_work_says_so(tmp_path: Path, capsys: Capture) -> None:
     made_toy(tmp_path / "a", RunOptions(workers=1, shard=Shard(31, 31)))
     assert "shard 31/31 has nothing to do" in capsys.readouterr().out
 
 
-def test_a_shard_computes_its_share_alone_and_names_the_others(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_shard_computes_its_share_and_names_the_others(tmp_path: Path, capsys: Capture) -> None:
     path = made_toy(tmp_path / "a", RunOptions(workers=1, shard=Shard(2, 3)))
     assert "run shard 1/3, 3/3" in capsys.readouterr().out
     with Journal(path, {"config": {"toy": 0}}) as journal:
@@ -163,9 +160,7 @@ def test_an_interrupted_run_is_continued_or_deleted_only_on_request(tmp_path: Pa
     assert made_toy(out, replace(QUIET, overwrite=True)) == out
 
 
-def test_what_is_finished_is_found_before_anything_is_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finished_output_is_found_before_any_call(tmp_path: Path, monkeypatch: Patch) -> None:
     out = made_toy(tmp_path / "a", QUIET)
     monkeypatch.setattr("tests.runs.recipes.drawn", None)
     with pytest.raises(Occupied, match="exists already; --overwrite replaces it"):
@@ -264,8 +259,8 @@ def _size(journal: Path) -> int:
     return sum(name.endswith(".npy") for *_, names in os.walk(journal) for name in names)
 
 
-def test_a_disk_without_locks_is_one_line_and_nothing_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_locks_a_disk_is_one_line_and_left_clean(
+    tmp_path: Path, monkeypatch: Patch
 ) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")

@@ -137,9 +137,7 @@ def test_states_of_closed_curves_whose_first_point_is_repeated_have_no_bead_more
     assert all(np.array_equal(made.table[name], again.table[name]) for name in made.table)
 
 
-def test_an_environment_resets_to_states_made_of_the_points_that_another_showed(
-    tmp_path: Path,
-) -> None:
+def test_an_environment_resets_to_states_made_of_points_shown_by_another(tmp_path: Path) -> None:
     env = gym.make("knotgym/Tie-v0", nx=1, observation="state", engine="chain")
     loop, curl = env.reset(seed=0)[0].reshape(2, 100, 3)
     made = States.from_points([loop, curl, loop, curl], ["train", "train", "test", "test"])

@@ -125,11 +125,10 @@ def test_curves_given_by_formula_are_named_from_every_side(points: np.ndarray, n
     assert {knot_type(label(points @ rotation(rng).T)) for _ in range(5)} == {name}
 
 
-@given(seeds)
+@given(seeds, st.sampled_from([7] * 9 + [40]))  # 40 moves: past the reach of polynomials
 @settings(max_examples=60)
-def test_random_unknot_diagrams_are_recognised(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    code = moved(GaussCode(), rng, 7)
+def test_random_unknot_diagrams_are_recognised(seed: int, moves: int) -> None:
+    code = moved(GaussCode(), np.random.default_rng(seed), moves)
     assert is_planar(code) and _is_unknot(code) and knot_type(code) == "0_1"
 
 
@@ -143,17 +142,6 @@ def test_moves_change_neither_the_name_nor_the_polynomials(seed: int) -> None:
     assert is_planar(tangled) and knot_type(tangled) == name
     assert jones_polynomial(tangled) == jones_polynomial(code)
     assert alexander_polynomial(tangled) == alexander_polynomial(code)
-
-
-@given(seeds)
-@settings(max_examples=40)
-def test_the_side_from_which_a_curve_is_seen_does_not_matter(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(14, 3))
-    one, other = label(points), label(points @ rotation(rng).T)
-    assert jones_polynomial(one) == jones_polynomial(other)
-    assert alexander_polynomial(one) == alexander_polynomial(other)
-    assert _is_unknot(one) == _is_unknot(other)
 
 
 @given(seeds)
@@ -181,11 +169,6 @@ def test_the_polynomials_of_a_sum_are_products() -> None:
     assert jones_polynomial(granny) == ((2, 1), (4, 2), (5, -2), (6, 1), (7, -2), (8, 1))
 
 
-def test_the_figure_eight_is_its_mirror_image() -> None:
-    eight = diagram_of("4_1")
-    assert shows(eight, "4_1") and shows(eight, "m4_1")
-
-
 def test_a_crossing_that_splits_the_diagram_is_taken_out() -> None:
     assert simplify(GaussCode.parse("1+a,2+c,3-c,4+c,2-c,3+c,4-c,1-a")) == TREFOIL
 
@@ -207,13 +190,6 @@ def test_codes_that_no_curve_shows_have_no_knot() -> None:
 def test_a_knot_with_trivial_alexander_polynomial_is_still_knotted(knot: GaussCode) -> None:
     assert alexander_polynomial(knot) == (1,)
     assert not _is_unknot(knot)
-
-
-@given(seeds)
-@settings(max_examples=5)
-def test_unknots_past_the_reach_of_polynomials_are_simplified(seed: int) -> None:
-    code = moved(GaussCode(), np.random.default_rng(seed), 40)
-    assert code.nx > 24 and _is_unknot(code)
 
 
 # the table of knots, against KnotInfo's polynomials
@@ -244,17 +220,13 @@ def test_every_diagram_is_named_as_itself_from_any_base_and_in_the_mirror() -> N
         assert knot_type(seen) == name
 
 
-def test_a_diagram_that_is_not_the_tables_is_told_by_its_polynomials() -> None:
-    kinked = GaussCode.relabelled([9, -9, *diagram_of("8_19").visits])
-    assert knot_type(kinked) == "8_19"
-
-
 def test_a_name_means_one_hand_and_m_the_other() -> None:
     right, left = (jones_polynomial(diagram_of(name)) for name in ("3_1", "m3_1"))
     assert right == ((1, 1), (3, 1), (4, -1)) and left == ((-4, -1), (-3, 1), (-1, 1))
     one, other = diagram_of("8_19"), diagram_of("m8_19")
     assert dict(jones_polynomial(other)) == {-k: value for k, value in jones_polynomial(one)}
     assert shows(one, "8_19") and not shows(one, "m8_19") and shows(one.plain, "m8_19")
+    assert shows(diagram_of("4_1"), "m4_1")  # which is its own mirror image
 
 
 def test_the_granny_is_told_from_the_square_knot() -> None:
@@ -312,10 +284,3 @@ def test_kinks_and_bigons_are_the_faces_with_one_and_two_sides() -> None:
                 expected[labels] = without(code, *labels)
         found = Counter(_removals(code))
         assert found == Counter(expected.values()), code.chiral
-
-
-def test_moves_keep_the_knot_and_the_plane() -> None:
-    for code in DIAGRAMS[::7]:
-        jones = jones_polynomial(code)
-        for after in _removals(code):
-            assert is_planar(after) and jones_polynomial(after) == jones, (code, after)

@@ -51,13 +51,6 @@ def test_a_pass_that_tows_the_rope_too_far_is_lost(ropes: BatchedSearch) -> None
     assert not whole.lost and short.lost and 0 < short.pulls < whole.pulls
 
 
-def test_a_trial_ends_where_its_goal_is_shown(ropes: BatchedSearch) -> None:
-    ((_, (first,)),) = ropes.run([one_trial(Trial(START[0], Pass(20, 34, 1), 10, KINK))])
-    other = GaussCode.parse("1+,2-,2+,1-")
-    ((_, (second,)),) = ropes.run([one_trial(Trial(START[0], Pass(20, 34, 1), 10, other))])
-    assert first.code.matches(KINK) == (first.pulls < second.pulls)
-
-
 def test_a_watched_trial_reports_every_change_and_its_pulls(ropes: BatchedSearch) -> None:
     move = Pass(20, 34, 1)
     ((_, reports),) = ropes.run([one_trial(Trial(START[0], move, 10, KINK, watch=True))])
@@ -85,10 +78,3 @@ def test_a_search_is_woken_after_so_many_pulls(ropes: BatchedSearch) -> None:
         return pulls
 
     assert dict(ropes.run([waits()])) == {0: 2}
-
-
-def test_a_search_that_is_dropped_frees_its_ropes(ropes: BatchedSearch) -> None:
-    ropes.add("dropped", two_passes(ropes, 20), slots=3)
-    assert ropes.tick() == []
-    ropes.drop("dropped")
-    assert [key for key, _ in ropes.run([two_passes(ropes, 30)], slots=3)] == [0]

@@ -1,10 +1,9 @@
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidFile, MissingFile
+from knotgym.common import InvalidFile
 from knotgym.control.planning import moves
 from knotgym.control.planning.moves import ALONG, AT, KINDS, MoveKind, Moves, PassTemplate
 from knotgym.control.planning.sights import IMAGES, Diagram
@@ -93,13 +92,3 @@ def test_a_table_survives_its_file(tmp_path: Path) -> None:
     assert read.nodes == table.nodes and (read.rows == table.rows).all()
     assert read.index == table.index and (read.number == table.number).all()
     assert read.templates == table.templates[:60]  # those of the 60 moves that were made
-
-
-def test_a_file_without_a_column_is_refused(tmp_path: Path) -> None:
-    random_table(2).save(tmp_path / "moves.h5")
-    with h5py.File(tmp_path / "moves.h5", "r+") as file:
-        del file["outcomes/seen"]
-    with pytest.raises(InvalidFile, match="seen"):
-        Moves.load(tmp_path / "moves.h5")
-    with pytest.raises(MissingFile):
-        Moves.load(tmp_path / "none.h5")

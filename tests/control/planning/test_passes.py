@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
 from knotgym.control.planning.passes import ActOut, PassPlan, PassSearch, PassValues
-from knotgym.control.planning.pulls import _drawn_index, _guide_to
+from knotgym.control.planning.pulls import _guide_to
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass
-from knotgym.topology import GaussCode, Symmetry, find_crossings, images
+from knotgym.topology import GaussCode, Symmetry, images
 
 FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
 LOOP, KINKED = Diagram(FLAT, (0,)), Diagram(KINK, (1, 2))
@@ -152,22 +152,6 @@ def test_a_kink_inside_the_loop_is_told_from_one_outside() -> None:
     assert len(one.outer) == 1 and len(other.outer) == 2
 
 
-def test_arcs_end_where_crossings_are_visited(curve: Array) -> None:
-    (sight,), crossings = Sight.of(curve[None]), find_crossings(curve)
-    visits = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
-    assert list(sight.cuts) == [0.0, *visits, 40.0]
-
-
-def test_a_bead_is_where_its_position_says(curve: Array) -> None:
-    (sight,) = Sight.of(curve[None])
-    arcs = [*zip(sight.cuts, sight.cuts[1:], strict=False)]
-    for bead in range(40):
-        arc = next(k for k, (_, end) in enumerate(arcs) if bead + 0.5 < end)
-        start, end = arcs[arc]
-        assert sight.bead(arc + (bead + 0.5 - start) / (end - start)) == bead
-    assert sight.bead(-1.0) == 0 and sight.bead(99.0) == sight.bead(2 * sight.diagram.nx + 1)
-
-
 # guidance of single pulls
 
 
@@ -194,12 +178,3 @@ def test_most_macro_actions_are_of_the_best_passes(curve: Array) -> None:
     passes = {(move.bead, move.target, move.side) for move, _ in best[:8]}
     led = sum((one.bead, one.target, one.side) in passes for one in made)
     assert (130 < led < 190) if best else led == 0
-
-
-def test_an_index_is_drawn_as_generators_choose() -> None:
-    for seed in range(300):
-        weights = np.random.default_rng(seed).random(1 + seed % 40) ** 4
-        rng, other = np.random.default_rng(seed), np.random.default_rng(seed)
-        drawn = _drawn_index(weights, rng)
-        assert drawn == other.choice(len(weights), p=weights / weights.sum())
-        assert rng.bit_generator.state == other.bit_generator.state
