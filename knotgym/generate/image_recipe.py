@@ -63,7 +63,7 @@ from knotgym.states import (
     read_states,
     resolve_states,
 )
-from knotgym.topology import Symmetry, codes_of, find_crossings, pyknotid_code
+from knotgym.topology import Crossings, Symmetry, codes_of, find_crossings, pyknotid_code
 
 _SYMMETRIES = 12  # drawn for each frame
 _held_form = lru_cache(maxsize=2**16)(held_form)
@@ -473,7 +473,7 @@ def _frames_of(
             continue
         rng = Stream.IMAGE_CHOICE.generator(config.seed, rope.number, pulls)
         symmetries = rng.integers((2, 2, 2, len(points)), size=(_SYMMETRIES, 4))
-        codes = [_shown(points, _symmetry_of(one), config) for one in symmetries]
+        codes = _shown(points, crossings, [_symmetry_of(one) for one in symmetries], config)
         seen = points, rope.number, pulls, crossings.nx, quality.ease()
         rows.append((*seen, symmetries, codes, sight))
     columns = zip(_FRAME.items(), zip(*rows, strict=True) if rows else [()] * 8, strict=True)
@@ -518,9 +518,22 @@ def _observed(
     return dict(sorted(found.items()))
 
 
-def _shown(points: Array, symmetry: Symmetry, config: ImagesConfig) -> str:
-    """Return the code that a frame shows after a symmetry, or "-"."""
-    moved = symmetry.vertices(points)
-    crossings = find_crossings(moved)
-    least = config.limits.base_spacing or 0.0
-    return str(crossings.code) if base_spacing(moved, crossings) >= least else "-"
+def _shown(
+    points: Array, crossings: Crossings, symmetries: Sequence[Symmetry], config: ImagesConfig
+) -> list[str]:
+    """Return the code that a frame shows after each symmetry, or "-" for one near its base bead."""
+    least, beads = config.limits.base_spacing or 0.0, len(points)
+    visits = np.concatenate([crossings.over_place, crossings.under_place])
+    # where each walk starts, an old vertex; its first bead lies behind that in a reversed walk
+    starts = [(-one.base_shift if one.reverse else one.base_shift) % beads for one in symmetries]
+    bases = [(at - one.reverse) % beads for at, one in zip(starts, symmetries, strict=True)]
+    spacing, found = base_spacing(points, crossings, bases), list[str]()
+    for far, at, one in zip(spacing >= least, starts, symmetries, strict=True):
+        code = crossings.code.reflected() if one.reflect else crossings.code
+        code = code.switched() if one.switch else code
+        if one.reverse:
+            code = code.reversed().rebased(int((visits > (at or beads)).sum()))
+        else:
+            code = code.rebased(int((visits < at).sum()))
+        found.append(str(code) if far else "-")
+    return found

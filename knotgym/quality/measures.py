@@ -8,6 +8,7 @@ measures that they store are computed again and must be the same.
 
 import hashlib
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -70,7 +71,7 @@ def measure(
     return Quality(
         crossing_angle=float(angles.min(initial=90.0)),
         crossing_spacing=float(apart.min(initial=size)),
-        base_spacing=base_spacing(p, crossings, 0, config),
+        base_spacing=float(base_spacing(p, crossings, config=config)[0]),
         strand_spacing=min(size, spacing),
         smallest_region=float(regions.min()) if len(regions) == crossings.nx + 2 else 0.0,
         smallest_face=float(_faces(pixels, crossings).min()),
@@ -83,27 +84,35 @@ def measure(
 
 
 def base_spacing(
-    points: Array, crossings: Crossings, base: int = 0, config: PictureConfig | None = None
-) -> float:
-    """Return the distance along the drawing from the base bead to the nearest crossing, pixels.
+    points: Array,
+    crossings: Crossings,
+    bases: Sequence[int] = (0,),
+    config: PictureConfig | None = None,
+) -> Array:
+    """Return the distance along the drawing from base beads to the nearest crossing, pixels.
 
     Args:
         points: float64 (beads, 3), metres.
         crossings: those of the points.
-        base: the base bead is the one between the vertices `base` and `base + 1`; a crossing on it
-            gives 0.
+        bases: base bead k is the one between the vertices bases[k] and bases[k] + 1; a crossing on
+            it gives 0.
         config: picture in which to measure; the usual one if None.
+
+    Returns:
+        float64 (bases,).
     """
-    config = PictureConfig() if config is None else config
+    config, beads = PictureConfig() if config is None else config, len(points)
     if not crossings.nx:
-        return float(config.size)
-    pixels = np.roll(project(points, config), -base, axis=0)
-    visits = (np.concatenate([crossings.over_place, crossings.under_place]) - base) % len(points)
+        return np.full(len(bases), float(config.size))
+    pixels, found = project(points, config), np.empty(len(bases))
     lengths = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
-    walked = np.concatenate([[0.0], np.cumsum(lengths)])
-    at = np.interp(visits, np.arange(len(walked)), walked)
-    # forwards from the end of the base bead, and backwards from its start
-    return float(min(config.size, max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))))
+    visits = np.concatenate([crossings.over_place, crossings.under_place])
+    for row, base in enumerate(bases):
+        walked = np.cumsum(np.concatenate([[0.0], lengths[base:], lengths[:base]]))
+        at = np.interp((visits - base) % beads, np.arange(beads + 1), walked)
+        # forwards from the end of the base bead, and backwards from its start
+        found[row] = max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))
+    return np.minimum(found, config.size)
 
 
 def noise_survival(

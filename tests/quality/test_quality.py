@@ -118,7 +118,7 @@ def test_base_spacing_from_another_vertex_is_that_of_the_renumbered_rope() -> No
     points = zigzag()
     for roll in (0, 3, 100, 333, 799):
         renumbered = np.roll(points, -roll, axis=0)
-        assert base_spacing(points, find_crossings(points), roll) == pytest.approx(
+        assert base_spacing(points, find_crossings(points), [roll])[0] == pytest.approx(
             measure(renumbered).base_spacing, abs=1e-9
         )
 
