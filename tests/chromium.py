@@ -100,11 +100,6 @@ class Chromium:
             assert time.monotonic() < end, f"never true: {script}"
             time.sleep(0.05)
 
-    def visit(self, address: str) -> None:
-        """Open an address, and wait until it is loaded."""
-        self.call("Page.navigate", url=address)
-        self.until("document.readyState === 'complete'")
-
     def press(self, key: str) -> None:
         """Press a key; a letter is also sent as its place on the keyboard, which viser asks for."""
         text = {"text": key} if len(key) == 1 else {}

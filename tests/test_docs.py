@@ -4,7 +4,6 @@ that links lead somewhere.
 
 import ast
 import importlib
-import importlib.util
 import inspect
 import json
 import re
@@ -23,16 +22,8 @@ from pytest_types import Capture, Patch
 from synthetic_episodes import TINY
 
 import knotgym
+from knotgym import datasets
 from knotgym.common import Table
-from knotgym.datasets import (
-    STEPS,
-    Episodes,
-    MinariMetadata,
-    locate,
-    open_episodes,
-    publish,
-    summary,
-)
 from knotgym.envs import TaskConfig
 from knotgym.rendering import APPEARANCES
 from knotgym.states import write_states
@@ -42,6 +33,7 @@ from .small_job import knotgym as typed
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+ENVIRONMENT = DOCS / "environment.md"
 MOST_PAGES = 33  # of the site; what few need is in notes/
 
 Rows = list[list[str]]
@@ -79,6 +71,12 @@ def names(rows: Rows) -> set[str]:
     return {word for row in rows for word in code_words(row[0])}
 
 
+def defaults(heading: str) -> dict[str, Any]:
+    """The keywords of a table of the page of the environment, and what they are by default."""
+    rows = [[code_words(cell)[0] for cell in row[:2]] for row in tables(ENVIRONMENT)[heading]]
+    return {name: ast.literal_eval(value) for name, value in rows}
+
+
 def blocks(page: Path) -> list[str]:
     """The Python of a page, block by block."""
     return re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
@@ -87,8 +85,8 @@ def blocks(page: Path) -> list[str]:
 @pytest.fixture(scope="module")
 def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Minari root with the one dataset that the pages load, and all that may be stored in one."""
-    tiny = open_episodes(TINY["expert"])
-    metadata = MinariMetadata(
+    tiny = datasets.open_episodes(TINY["expert"])
+    metadata = datasets.MinariMetadata(
         dataset_id=ID,
         algorithm_name="expert",
         description="Tiny.",
@@ -101,8 +99,8 @@ def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("minari")
     rows, steps = tiny.episodes
     sizes = dict(steps.schema.sizes)
-    labelled = Table(STEPS.sized(**sizes), {**steps, "expert_action": steps["action"]})
-    publish([Episodes(rows, labelled)], tiny.task, metadata, root, facts=facts)
+    labelled = Table(datasets.STEPS.sized(**sizes), {**steps, "expert_action": steps["action"]})
+    datasets.publish([datasets.Episodes(rows, labelled)], tiny.task, metadata, root, facts=facts)
     return root
 
 
@@ -182,21 +180,12 @@ def test_links_lead_to_files_and_files_that_are_named_exist(page: Path) -> None:
 
 
 def test_the_pages_of_commands_are_what_the_commands_say() -> None:
-    place = importlib.util.spec_from_file_location("commands_page", DOCS / "commands.py")
-    assert place is not None and place.loader is not None
-    page = importlib.util.module_from_spec(place)
-    place.loader.exec_module(page)
-    made = page.pages()
-    for path, text in made.items():
+    for path, text in runpy.run_path(str(DOCS / "commands.py"))["pages"]().items():
         assert path.read_text(encoding="utf-8") == text, "run python docs/commands.py"
 
 
 def test_the_page_of_the_environment_names_every_keyword_and_its_default() -> None:
-    said = {
-        code_words(row[0])[0]: ast.literal_eval(code_words(row[1])[0])
-        for row in tables(DOCS / "environment.md")["Keywords"]
-    }
-    assert said == {
+    assert defaults("Keywords") == {
         field.name: field.default for field in fields(TaskConfig) if field.name != "task"
     }
 
@@ -204,7 +193,7 @@ def test_the_page_of_the_environment_names_every_keyword_and_its_default() -> No
 def test_the_page_of_the_environment_names_what_info_holds(states_path: str) -> None:
     env = gym.make("knotgym/Tie-v0", nx=1, states=states_path, observation="state")
     info = env.reset(seed=0)[1]
-    rows = tables(DOCS / "environment.md")["Info"]
+    rows = tables(ENVIRONMENT)["Info"]
     assert names(rows) == info.keys()
     for row in rows:
         kind, value = row[1], info[code_words(row[0])[0]]
@@ -217,10 +206,7 @@ def test_the_page_of_the_environment_names_what_info_holds(states_path: str) -> 
 
 def test_the_page_of_the_environment_names_the_keywords_of_many_at_once() -> None:
     parameters = dict(inspect.signature(knotgym.KnotVectorEnv).parameters)
-    said = {
-        code_words(row[0])[0]: ast.literal_eval(code_words(row[1])[0])
-        for row in tables(DOCS / "environment.md")["Many at once"]
-    }
+    said = defaults("Many at once")
     assert said == {name: parameters.pop(name).default for name in said}
     assert parameters.keys() == {"task", "render_mode", "settings"}
 
@@ -290,7 +276,7 @@ def test_the_citation_has_the_version_of_the_package() -> None:
 )
 def test_what_train_and_test_share_is_as_computed(name: str) -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]
-    for row in summary(locate(name))[1]["train and test"].rows:
+    for row in datasets.summary(datasets.locate(name))[1]["train and test"].rows:
         assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
 
 

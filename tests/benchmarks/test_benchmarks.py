@@ -30,10 +30,6 @@ def figures(name: str, folder: Path, *words: object) -> dict[str, Any]:
     return written
 
 
-def test_there_are_benchmarks() -> None:
-    assert len(SCRIPTS) >= 10 and all((FOLDER / f"{name}.py").is_file() for name in MODULES)
-
-
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_every_benchmark_says_how_to_use_it(script: Path, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:

@@ -40,21 +40,6 @@ def test_switched_crossings_are_passages_and_a_turn_is_none(passages: dict[str, 
     assert {tuple(passages["knot"](step)) for step in steps} == {tuple(passages["knot"](rope))}
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(("text", "values"), [("", (1, 1, 1)), (TREFOIL.chiral, (3, 3, 7))])
-def test_polynomials_tell_knots(
-    passages: dict[str, Any], text: str, values: tuple[int, ...]
-) -> None:
-    prime = passages["PRIME"]
-    rope = drawn_curve(GaussCode.parse(text), np.random.default_rng(0))
-    # t^2 - t + 1 at t and 1/t, of which the latter is t^-2 of the former
-    expected = [
-        value**2 * pow(t, -2 if text else 0, prime) % prime
-        for value, t in zip(values, (1, 2, 3), strict=True)
-    ]
-    assert passages["knot"](rope) == expected
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["chain", "mujoco"])
 def test_hard_play_is_looked_at_and_goes_on(engine: str, tmp_path: Path) -> None:

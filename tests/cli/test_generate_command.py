@@ -107,10 +107,8 @@ def test_minari_loads_the_trajectories_of_one_split(
         steps = states.source["step"][row]
         assert len(episode.actions) == steps
         assert episode.infos["gauss_code"][-1].decode() == states.gauss_code[row]
-        assert (
-            episode.terminations.tolist() == [False] * (steps - 1) + [True]
-            and not episode.truncations.any()
-        )
+        assert episode.terminations.tolist() == [False] * (steps - 1) + [True]
+        assert not episode.truncations.any()
         assert states.image is not None  # beside the rope its goal, the state, is shown
         assert np.array_equal(episode.observations["pixels"][-1, :, 128:], states.image[row])
         _, info = env.reset(seed=0, options={"goal": int(row)})

@@ -104,12 +104,6 @@ def test_a_table_is_filled_with_values_that_say_unknown() -> None:
         Table(steps, {"a": np.arange(3)}).filled(steps)
 
 
-def test_derived_columns_are_computed_by_the_schema() -> None:
-    schema = Schema("", (Column("a", "int64"), Column("square", "int64", derived=lambda a: a * a)))
-    assert schema.derive(7) == {"square": 49}
-    assert schema.without("square").sized().empty(2)["a"].shape == (2,)
-
-
 def test_sizes_of_columns_that_are_left_out_do_not_count() -> None:
     schema = Schema("", (Column("a", "int64"), Column("b", "int64", ("wide",), optional=True)))
     a = np.arange(2)

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -116,20 +115,6 @@ def test_ogbench_files_hold_every_state_once(tmp_path: Path) -> None:
     train = np.load(tmp_path / "tie-nx2-expert_chain-v0-train.npz")
     np.testing.assert_array_equal(train["observations"], first["observation"].reshape(-1, 300))
     np.testing.assert_array_equal(train["actions"], first["action"])
-
-
-def test_ogbench_files_appear_together(tmp_path: Path, monkeypatch: Patch) -> None:
-    calls, write = [0, 1], np.savez_compressed
-
-    def second_fails(file: Any, **arrays: Any) -> None:
-        if not calls.pop():
-            raise KeyboardInterrupt
-        write(file, **arrays)
-
-    monkeypatch.setattr(np, "savez_compressed", second_fails)
-    with pytest.raises(KeyboardInterrupt):
-        export(EXPERT, tmp_path, "ogbench", replay)
-    assert not list(tmp_path.iterdir())
 
 
 def test_parquet_tables_hold_every_number(states_path: str, huggingface: Path) -> None:

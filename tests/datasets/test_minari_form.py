@@ -14,22 +14,15 @@ import pytest
 from pytest_types import Patch
 from synthetic_episodes import TASK, TINY, episodes
 
+from knotgym.datasets import minari_form
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.minari_form import (
-    MinariMetadata,
-    copy_file,
-    loading_lines,
-    metadata_of,
-    minari_faults,
-    publish,
-)
 from knotgym.loaders import statistics
 
 from ..minari_list import check_minari
 
 ID = "knotgym/tie-nx2/tiny-v0"
-METADATA = MinariMetadata(
+METADATA = minari_form.MinariMetadata(
     dataset_id=ID,
     algorithm_name="expert",
     description="Three episodes.",
@@ -44,7 +37,7 @@ METADATA = MinariMetadata(
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Minari root with one published dataset; only ever read."""
     out, dataset = tmp_path_factory.mktemp("root"), open_episodes(TINY["expert"])
-    publish([dataset.episodes], dataset.task, METADATA, out, facts={"run": {"seed": 3}})
+    minari_form.publish([dataset.episodes], dataset.task, METADATA, out, facts={"run": {"seed": 3}})
     return out
 
 
@@ -77,8 +70,8 @@ def test_minari_metadata_hold_what_normalizes(root: Path, loaded: minari.MinariD
 
 def test_metadata_comes_back(root: Path) -> None:
     dataset = open_episodes(root / ID)
-    assert metadata_of(dataset) == METADATA and dataset.facts["run"] == {"seed": 3}
-    assert metadata_of(open_episodes(root / ID)) == replace(METADATA, author=("A", "B"))
+    assert minari_form.metadata_of(dataset) == METADATA and dataset.facts["run"] == {"seed": 3}
+    assert minari_form.metadata_of(open_episodes(root / ID)) == replace(METADATA, author=("A", "B"))
 
 
 def test_no_object_of_a_file_has_a_time_so_that_equal_data_have_equal_bytes(root: Path) -> None:
@@ -96,8 +89,8 @@ def test_large_sets_and_recordings_have_no_minari_form(tmp_path: Path, monkeypat
         (episodes([1]), "columns", False),
         (episodes([3]), "minari", True),
     ):
-        folder = publish([made], TASK, METADATA, tmp_path, overwrite=True, form=form)
-        lines = loading_lines(METADATA.dataset_id, tmp_path)
+        folder = minari_form.publish([made], TASK, METADATA, tmp_path, overwrite=True, form=form)
+        lines = minari_form.loading_lines(METADATA.dataset_id, tmp_path)
         assert len([*(folder / "data").iterdir()]) == (3 if has_it else 1)
         assert ("minari.load_dataset" in lines[0]) == has_it == ("--to minari" not in lines[1])
 
@@ -105,7 +98,9 @@ def test_large_sets_and_recordings_have_no_minari_form(tmp_path: Path, monkeypat
 def test_a_state_file_is_carried_and_found_by_the_id(tmp_path: Path) -> None:
     (tmp_path / "s.h5").write_bytes(b"states")
     task = replace(TASK, states="s.h5")
-    folder = publish([episodes([1])], task, METADATA, tmp_path, states=tmp_path / "s.h5")
+    folder = minari_form.publish(
+        [episodes([1])], task, METADATA, tmp_path, states=tmp_path / "s.h5"
+    )
     dataset = open_episodes(folder)
     assert dataset.task.states == ID
     assert dataset.states_path() == folder / "data/states.h5"
@@ -161,11 +156,11 @@ def test_what_does_not_follow_from_the_episodes_is_a_fault(
 ) -> None:
     copy = shutil.copytree(root / ID, tmp_path / "copy")
     harm(copy / "data")
-    assert any(named in fault for fault in minari_faults(open_episodes(copy)))
+    assert any(named in fault for fault in minari_form.minari_faults(open_episodes(copy)))
 
 
 def test_a_link_is_not_copied(tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("private")
     (tmp_path / "a").symlink_to(tmp_path / "secret")
     with pytest.raises(OSError):
-        copy_file(tmp_path / "a", tmp_path / "copy")
+        minari_form.copy_file(tmp_path / "a", tmp_path / "copy")

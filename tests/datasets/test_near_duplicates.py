@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.states import (
-    NEAR,
-    Spectra,
-    distances,
-    families,
-    nearest,
-    pairs_within,
-    read_states,
-    shipped,
-)
+from knotgym import states
 from knotgym.topology import Symmetry
 
-STATES = read_states(shipped(), images=False).points[40:70]
+STATES = states.read_states(states.shipped(), images=False).points[40:70]
 
 
 def moved(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
@@ -38,36 +29,36 @@ def moved(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("seed", range(8))
 def test_a_symmetry_is_no_distance(seed: int) -> None:
     hidden = np.stack([moved(one, seed + k) for k, one in enumerate(STATES)])
-    apart, row = nearest(hidden, STATES)
+    apart, row = states.nearest(hidden, STATES)
     assert apart.max() < 1e-7 and row.tolist() == list(range(len(STATES)))
 
 
 @pytest.mark.parametrize("mirrors", [False, True])
 def test_the_distance_is_the_least_over_every_symmetry(mirrors: bool) -> None:
-    one, other = (Spectra.of(STATES[[row]]) for row in (0, 11))
+    one, other = (states.Spectra.of(STATES[[row]]) for row in (0, 11))
     flips = (False, True) if mirrors else (False,)
     every = [
         Symmetry(0.0, reflect, switch, reverse, shift).vertices(STATES[11])
         for reflect, switch in product(flips, flips)
         for reverse, shift in product((False, True), range(100))
     ]
-    least = pytest.approx(distances(STATES[0], np.stack(every)).min())
+    least = pytest.approx(states.distances(STATES[0], np.stack(every)).min())
     assert one.pair_distances(other, mirrors=mirrors)[0] == least
     assert other.pair_distances(one, mirrors=mirrors)[0] == least
-    assert not mirrors or nearest(STATES[:1], STATES[[11]])[0][0] == least
+    assert not mirrors or states.nearest(STATES[:1], STATES[[11]])[0][0] == least
 
 
 def test_no_distance_is_below_its_bound() -> None:
-    spectra = Spectra.of(STATES)
+    spectra = states.Spectra.of(STATES)
     bounds = spectra._least_distances(spectra)
     for k in range(len(STATES)):
         exact = spectra.take(np.full(len(STATES), k)).pair_distances(spectra)
         assert (bounds[k] <= exact + 1e-6).all()
         apart = np.linalg.norm(spectra.invariants - spectra.invariants[k], axis=1)
-        assert (apart <= exact + 1e-6).all() and np.median(apart) > NEAR
+        assert (apart <= exact + 1e-6).all() and np.median(apart) > states.NEAR
 
 
 def test_pairs_are_found_once_and_families_are_numbered() -> None:
     points = np.concatenate([STATES[:4], [moved(STATES[1], 3)], [moved(STATES[1], 4)]])
-    assert [(i, j) for i, j, _ in pairs_within(points)] == [(1, 4), (1, 5), (4, 5)]
-    assert families(points).tolist() == [0, 1, 2, 3, 1, 1]
+    assert [(i, j) for i, j, _ in states.pairs_within(points)] == [(1, 4), (1, 5), (4, 5)]
+    assert states.families(points).tolist() == [0, 1, 2, 3, 1, 1]

@@ -1,5 +1,7 @@
 """Ropes drawn from codes show these codes."""
 
+import hashlib
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,11 @@ def test_a_drawing_shows_its_code_with_its_chirality_or_with_one(code: GaussCode
 def test_the_same_generator_draws_the_same_rope_and_another_does_not() -> None:
     one, again, other = (first_drawn(KINKS, seed) for seed in (1, 1, 2))
     assert np.array_equal(one, again) and not np.allclose(one, other, atol=0.01)
+
+
+def test_a_drawing_is_the_one_recorded_on_any_machine() -> None:
+    drawn = drawn_curve(TREFOIL, np.random.default_rng(2))
+    assert hashlib.sha256(drawn.tobytes()).hexdigest()[:12] == "4267ef71671e"
 
 
 @pytest.mark.parametrize("code", [KINKS, TREFOIL])

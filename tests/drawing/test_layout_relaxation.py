@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.drawing.layout_relaxation import _repel, _square, _stiffen, relax_layout
+from knotgym.drawing.layout_relaxation import _square, _stiffen, relax_layout
 
 Array = NDArray[np.float64]
 # a figure of eight: node 0 is the crossing, the walk passes it twice
@@ -60,22 +60,6 @@ def test_a_force_is_minus_the_gradient_of_its_energy(name: str) -> None:
         slope = gradient(square, AT)
     assert np.abs(slope).max() > 1e-3
     assert np.abs(force + slope).max() < 1e-6 * np.abs(slope).max() + 1e-9
-
-
-def test_strands_that_come_close_push_each_other_equally_and_apart() -> None:
-    count = len(WALK)
-    arc = np.concatenate([[0.0], np.cumsum(lengths(AT))[:-1]])
-    force, stiff = np.zeros_like(AT), np.zeros(len(AT))
-    pairs, gaps = np.empty((count * count, 2), np.int64), np.empty((count * count, 4))
-    found = _repel(AT, WALK, lengths(AT), arc, force, stiff, 0.1, 1.0, pairs, gaps)
-    assert found > 0 and np.abs(force).max() > 0
-    # action and reaction: neither the sum of the forces nor that of their moments moves the drawing
-    moment = AT[:, 0] * force[:, 1] - AT[:, 1] * force[:, 0]
-    assert np.abs(force.sum(axis=0)).max() < 1e-12 and abs(moment.sum()) < 1e-12
-    for (node, segment), (x, y, far, along) in zip(pairs[:found], gaps[:found], strict=True):
-        a, b = WALK[segment], WALK[(segment + 1) % count]
-        nearest = (1 - along) * AT[a] + along * AT[b]
-        assert np.allclose(AT[node] - nearest, far * np.array([x, y]), atol=1e-12)
 
 
 def test_relaxing_squares_the_crossing_and_keeps_the_faces_of_a_figure_of_eight() -> None:

@@ -28,10 +28,6 @@ MODULES = {"pictures", "strand_loss"}  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.rglob("*.py") if path.stem not in MODULES)
 
 
-def test_there_are_examples() -> None:
-    assert len(SCRIPTS) >= 6
-
-
 @pytest.mark.parametrize(
     ("words", "tasks", "said"),
     [

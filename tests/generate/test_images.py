@@ -16,7 +16,7 @@ from pytest_types import Capture, Patch
 from knotgym.common import Failed, InvalidFile
 from knotgym.control import dataset_faults
 from knotgym.datasets import PictureRow, decode, drawn_table, parquet, read_rows, read_table, shards
-from knotgym.generate.image_recipe import _quotas, _shown, _symmetry_of, make_images
+from knotgym.generate.image_recipe import _shown, _symmetry_of, make_images
 from knotgym.generate.images_config import ImagesConfig
 from knotgym.loaders import images as load
 from knotgym.quality import Limits, base_spacing, grade_of, measure
@@ -205,14 +205,6 @@ def test_states_that_give_no_more_pictures_end_it(tmp_path: Path, monkeypatch: P
     config = ImagesConfig(nx=(1,), count=4, pulls=2, idle=2, engine="chain", limits=NOTHING)
     with pytest.raises(Failed, match=r"0 of 4 pictures found, then none in 2 waves of ropes"):
         made(tmp_path / "table", config)
-
-
-def test_quotas_add_up_and_hold_the_shares() -> None:
-    config = ImagesConfig(nx=(0, 1, 2, 3, 4), count=1003)
-    wanted = _quotas(config, {0: 1, 1: 2, 2: 8, 3: 46, 4: 344})
-    assert sum(wanted.values()) == 1003
-    assert {split for split, _ in wanted} == set(IMAGE_SPLITS)
-    assert {nx for split, nx in wanted if split == "test-code"} == {2, 3}
 
 
 def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:

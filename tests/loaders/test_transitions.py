@@ -1,6 +1,5 @@
 """Tests of loaders: every row of a batch is aligned with the columns of the dataset."""
 
-import importlib.util
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -29,11 +28,6 @@ from knotgym.rendering import PictureConfig
 LENGTHS = [3, 1, 6, 2]
 N, S = sum(LENGTHS), len(LENGTHS)
 clients = pytest.mark.clients
-
-
-def needs(module: str) -> pytest.MarkDecorator:
-    found = importlib.util.find_spec(module)
-    return pytest.mark.skipif(found is None, reason=f"{module} isn't installed")
 
 
 @pytest.fixture(scope="module")
@@ -236,11 +230,9 @@ def test_sequences_are_views_of_the_columns(made: Episodes, path: Path) -> None:
 
 
 @clients
-@needs("torch")
 @pytest.mark.parametrize("workers", [0, 2])
 def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, workers: int) -> None:
-    from torch.utils.data import DataLoader
-
+    DataLoader = pytest.importorskip("torch.utils.data").DataLoader
     held = arrays(path)
     loader = DataLoader(torch_dataset(path), batch_size=4, num_workers=workers)
     batches = [*loader]
@@ -254,8 +246,8 @@ def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, wo
 
 
 @clients
-@needs("tensordict")
 def test_a_tensordict_holds_all_transitions_in_memory_or_mapped(path: Path, tmp_path: Path) -> None:
+    pytest.importorskip("tensordict")
     held = arrays(path)
     for data in (to_tensordict(path), to_tensordict(path, folder=tmp_path / "td")):
         assert data.batch_size == (N,)
@@ -275,8 +267,8 @@ def test_a_tensordict_holds_all_transitions_in_memory_or_mapped(path: Path, tmp_
 
 
 @clients
-@needs("d3rlpy")
 def test_d3rlpy_holds_every_transition_and_pictures_channels_first(path: Path) -> None:
+    pytest.importorskip("d3rlpy")
     buffer = to_d3rlpy(path)
     held, row = arrays(path), 0
     for episode, length in zip(buffer.episodes, LENGTHS, strict=True):

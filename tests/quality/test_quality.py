@@ -163,14 +163,6 @@ def test_strands_differ_where_every_path_over_the_picture_is_long(row: int, walk
     assert found == pytest.approx(spacing_by_graph(points, walk), rel=1e-9)
 
 
-@pytest.mark.parametrize("row", range(40, 177, 20))
-def test_the_faces_inside_add_up_to_the_face_outside(row: int) -> None:
-    points = SHIPPED.points[row]
-    pixels, crossings = points[:, :2] / PIXEL, find_crossings(points)
-    *inner, outer = np.sort(measures._faces(pixels, crossings))
-    assert sum(inner) == pytest.approx(outer, rel=1e-9)
-
-
 def test_a_coil_seen_end_on_hides_crossings() -> None:
     turn = np.linspace(0, 4 * np.pi, 300)
     coil = np.stack(

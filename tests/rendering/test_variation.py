@@ -80,12 +80,3 @@ def test_the_base_bead_is_white_whatever_the_colours() -> None:
         look = Appearance(colours=kind, first=(200, 150, 160), last=(30, 40, 180))
         base, *others = look._bead_colours(100).tolist()
         assert base == [255, 255, 255] and len({*map(tuple, others)}) == colours
-
-
-def test_a_gradient_darkens_along_the_walk(points: Array) -> None:
-    drawn = looks(points, AppearanceConfig(vary=("colours",)))
-    gradients = [look for look in drawn if look.colours == "gradient"]
-    assert gradients
-    for look in gradients:
-        assert sum(look.first) > sum(look.last) + 50
-        assert (np.diff(look._bead_colours(100)[1:].sum(axis=1).astype(int)) <= 1).all()

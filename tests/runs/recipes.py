@@ -11,18 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from knotgym import generate
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
-from knotgym.generate import (
-    CollectConfig,
-    EvaluateConfig,
-    GenerateConfig,
-    ImagesConfig,
-    collect,
-    evaluate,
-    make_images,
-    make_states,
-)
 from knotgym.runs.identities import Identity
 from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.runs.runner import Call, Recipe, run
@@ -55,23 +46,25 @@ CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizo
 
 def collected(out: Path, options: RunOptions) -> Path:
     policy = PolicyConfig(policy="scripted")
-    config = CollectConfig(task=CHAIN, policy=policy, episodes=130, dataset_id=out.name)
-    return collect(config, out.parent, options)
+    config = generate.CollectConfig(task=CHAIN, policy=policy, episodes=130, dataset_id=out.name)
+    return generate.collect(config, out.parent, options)
 
 
 def evaluated(out: Path, options: RunOptions) -> Path:
-    evaluate(EvaluateConfig(nx=(1, 2), episodes=70, task=CHAIN), options, out=out)
+    generate.evaluate(generate.EvaluateConfig(nx=(1, 2), episodes=70, task=CHAIN), options, out=out)
     return out if options.shard.is_whole else options.shard.journal(out)
 
 
 def made_states(out: Path, options: RunOptions) -> Path:
-    config = GenerateConfig(nx=(0, 1), count=4, engine="chain")
-    return make_states(config, out, options)
+    config = generate.GenerateConfig(nx=(0, 1), count=4, engine="chain")
+    return generate.make_states(config, out, options)
 
 
 def made_images(out: Path, options: RunOptions) -> Path:
-    config = ImagesConfig(nx=(0, 1), count=8, engine="chain", pulls=4, ropes=2, rows_per_file=2)
-    return make_images(config, out, options)
+    config = generate.ImagesConfig(
+        nx=(0, 1), count=8, engine="chain", pulls=4, ropes=2, rows_per_file=2
+    )
+    return generate.make_images(config, out, options)
 
 
 RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {

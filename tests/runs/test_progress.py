@@ -71,11 +71,6 @@ def shown(*done: int) -> str:
     return written.getvalue()
 
 
-def test_a_plain_run_says_nothing_before_its_first_stage(capsys: Capture) -> None:
-    with Progress():
-        assert capsys.readouterr() == ("", "")  # a mistake may follow, which is one line
-
-
 def test_work_without_a_count_is_named_again_and_again(monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
     written = io.StringIO()
@@ -110,13 +105,6 @@ def test_what_is_counted_anywhere_is_shown_while_a_command_runs() -> None:
     Counts.tell("drawing", 1, 2)  # nobody listens
     told = [line[9:] for line in written.getvalue().splitlines()]
     assert told == ["drawing", "drawing: 0 of 2", "drawing: 2 of 2"]
-
-
-def test_a_command_may_end_its_progress_before_it_ends() -> None:
-    with Progress(quiet=True) as progress:
-        progress.end()
-        Counts.tell("drawing", 0, 2)
-    assert not Counts.listeners
 
 
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:

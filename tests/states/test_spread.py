@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets import locate, summary
 from knotgym.rope import Rope
-from knotgym.states.near_duplicates import _bare_stretch, _visit_distance, distances, spread_of
+from knotgym.states.near_duplicates import distances, spread_of
 from knotgym.states.state_file import read_states
 from knotgym.topology import Symmetry
 
@@ -47,13 +47,6 @@ def test_visits_are_as_far_apart_as_the_curls(rope: Rope) -> None:
     assert quarter["visits"] is not None and quarter["visits"] > same["visits"]
     # two visits of one crossing are the beads of the curl apart; of the rest nothing crosses
     assert same["visits"] == pytest.approx((100 - same["bare"]) / 2)
-
-
-def test_crossings_at_one_place_are_not_apart_even_over_the_base_bead() -> None:
-    places = [np.array([99.5]), np.array([0.5])]
-    assert _visit_distance(places, 100) == 1.0
-    assert _bare_stretch(np.concatenate(places), 100) == 99.0
-    assert _visit_distance([places[0]], 100) is None and _bare_stretch(np.empty(0), 100) is None
 
 
 def test_the_card_has_the_spread_of_every_nx() -> None:

@@ -1,8 +1,6 @@
 """Knot types of known knots and published lists, which Reidemeister moves don't change."""
 
 import json
-from collections import Counter
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,7 @@ from hypothesis import strategies as st
 
 from knotgym.common import InvalidInput
 from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import chiralities, faces, is_planar, planar_codes
+from knotgym.topology.diagrams import faces, is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import (
     _is_unknot,
@@ -25,13 +23,7 @@ from knotgym.topology.knots import (
 )
 from knotgym.topology.notation import _from_dt
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial
-from knotgym.topology.reidemeister import (
-    _removals,
-    connected_sum,
-    is_alternating,
-    simplify,
-    without_bigons,
-)
+from knotgym.topology.reidemeister import connected_sum, is_alternating, simplify, without_bigons
 
 CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
@@ -253,34 +245,3 @@ def test_a_knot_that_is_not_in_the_table_is_one_line(name: str) -> None:
     with pytest.raises(InvalidInput, match="3_1 to 10_165") as caught:
         diagram_of(name)
     assert "\n" not in str(caught.value)
-
-
-# single moves: all of them, and none that changes the knot
-
-
-# planar codes, every one or every fifth or 41st, with each of its chiralities
-DIAGRAMS = [
-    GaussCode(code.visits, letters)
-    for nx, every in ((1, 1), (2, 1), (3, 5), (4, 41))
-    for code in islice(planar_codes(nx), 0, None, every)
-    for letters in chiralities(code)
-]
-
-
-def without(code: GaussCode, *labels: int) -> GaussCode:
-    letters = dict(enumerate(code.chirality or "", 1))
-    return GaussCode.relabelled([v for v in code.visits if abs(v) not in labels], letters)
-
-
-def test_kinks_and_bigons_are_the_faces_with_one_and_two_sides() -> None:
-    for code in DIAGRAMS:
-        visits, expected = code.visits, dict[frozenset[int], GaussCode]()
-        for face in faces(code):
-            edges = [dart // 2 for dart in face]
-            ends = [(visits[edge], visits[(edge + 1) % len(visits)]) for edge in edges]
-            heights = sorted((a > 0) + (b > 0) for a, b in ends)
-            labels = frozenset(abs(visit) for pair in ends for visit in pair)
-            if len(face) == 1 or len(face) == len(labels) == 2 and heights == [0, 2]:
-                expected[labels] = without(code, *labels)
-        found = Counter(_removals(code))
-        assert found == Counter(expected.values()), code.chiral

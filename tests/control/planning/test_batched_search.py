@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning.batched_search import BatchedSearch, Orders, Report, Search, Trial
-from knotgym.rope import Haul, Pass, TowBound
+from knotgym.rope import Pass
 from knotgym.topology import GaussCode
 
 KINK = GaussCode.parse("1+c,1-c")
@@ -40,17 +40,6 @@ def one_trial(trial: Trial) -> Search[list[Report]]:
     return reports
 
 
-def test_a_pass_that_tows_the_rope_too_far_is_lost(ropes: BatchedSearch) -> None:
-    centre = ropes.ropes.points[0].mean(axis=0)
-
-    def trial(limit: float) -> Trial:
-        return Trial(START[0], Pass(20, 70, 1), 10, KINK, TowBound(centre, limit))
-
-    found = dict(ropes.run([one_trial(trial(1.0)), one_trial(trial(0.01))]))
-    ((whole,), (short,)) = found[0], found[1]
-    assert not whole.lost and short.lost and 0 < short.pulls < whole.pulls
-
-
 def test_a_watched_trial_reports_every_change_and_its_pulls(ropes: BatchedSearch) -> None:
     move = Pass(20, 34, 1)
     ((_, reports),) = ropes.run([one_trial(Trial(START[0], move, 10, KINK, watch=True))])
@@ -62,19 +51,3 @@ def test_a_watched_trial_reports_every_change_and_its_pulls(ropes: BatchedSearch
     for bead, force in zip(last.beads, last.forces.astype(np.float64), strict=True):
         ropes.ropes.step([bead], force[None] * ropes.ropes.max_force, [0])
     assert np.array_equal(ropes.ropes.states([0])[0], last.state)
-
-
-def test_a_haul_pulls_two_beads_in_turn(ropes: BatchedSearch) -> None:
-    haul = Haul.drawn(100, np.random.default_rng(1))
-    trial = Trial(START[0], haul, haul.steps, KINK, watch=True)
-    ((_, reports),) = ropes.run([one_trial(trial)])
-    assert reports[-1].beads.tolist() == [haul.pull(step)[0] for step in range(haul.steps)]
-
-
-def test_a_search_is_woken_after_so_many_pulls(ropes: BatchedSearch) -> None:
-    def waits() -> Search[int]:
-        pulls, reports = yield Orders({0: Trial(START[0], Pass(20, 70, 1), 10, KINK)}, wake=2)
-        assert not reports
-        return pulls
-
-    assert dict(ropes.run([waits()])) == {0: 2}

@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
 from knotgym.control.planning.passes import ActOut, PassPlan, PassSearch, PassValues
-from knotgym.control.planning.pulls import _guide_to
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass
@@ -150,31 +149,3 @@ def test_a_kink_inside_the_loop_is_told_from_one_outside() -> None:
     one, other = diagram_of(inside), diagram_of(eight)
     assert one.nx == other.nx == 1
     assert len(one.outer) == 1 and len(other.outer) == 2
-
-
-# guidance of single pulls
-
-
-def test_codes_on_the_way_to_the_goal_are_nearer() -> None:
-    guide = _guide_to(KINKED_TWICE, PassValues.of_split())
-    far = [guide.distance(code) for code in (GaussCode(KINKED_TWICE.visits, "ca"), KINK, FLAT)]
-    assert far[0] == 0 and far == sorted(far) and len({*far}) == 3
-    assert guide.hops(KINK, 9) in (1, 2) and 0 < guide.distance(THREE) < guide.distance(FLAT)
-
-
-def test_where_no_way_is_known_crossings_count() -> None:
-    guide = _guide_to(KINKED_TWICE, PassValues(Moves()))
-    assert guide.distance(KINK) == guide.distance(THREE) < guide.distance(FLAT)
-    assert guide.hops(KINK, 9) == 9 and guide.hops(GaussCode(KINKED_TWICE.visits, "ca"), 9) == 0
-
-
-def test_most_macro_actions_are_of_the_best_passes(curve: Array) -> None:
-    values, rng = PassValues.of_split(), np.random.default_rng(0)
-    guide, best = (
-        _guide_to(KINKED_TWICE, values),
-        list(values.passes(KINKED_TWICE, Sight.of(curve[None])[0])),
-    )
-    made = [guide.propose(curve, rng) for _ in range(200)]
-    passes = {(move.bead, move.target, move.side) for move, _ in best[:8]}
-    led = sum((one.bead, one.target, one.side) in passes for one in made)
-    assert (130 < led < 190) if best else led == 0
