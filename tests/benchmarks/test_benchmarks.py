@@ -117,9 +117,7 @@ def test_a_little_play_makes_a_table_like_the_one_that_ships(table: str, tmp_pat
 @pytest.mark.parametrize(
     ("command", "words"), [("speed", ("--ropes", 4, "--repeats", 1)), ("distance", ("--states", 1))]
 )
-def test_the_chain_is_measured_by_mujoco(
-    command: str, words: tuple[object, ...], tmp_path: Path
-) -> None:
+def test_the_chain_is_measured(command: str, words: tuple[object, ...], tmp_path: Path) -> None:
     results = figures("chain", tmp_path, command, *words)["results"]
     if command == "distance":
         assert results["apart, mm"]["after 1"] < 1.2 and results["apart, mm"]["after 4"] < 5

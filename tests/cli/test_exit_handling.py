@@ -39,7 +39,7 @@ def interrupted_in_compiled_code() -> Exception:
         (interrupted_in_compiled_code(), 130, "interrupted before all output was written\n"),
     ],
 )
-def test_ends_are_lines(
+def test_an_end_is_one_line(
     error: BaseException, status: int, line: str, monkeypatch: Patch, capfd: Capture
 ) -> None:
     def ended(*_: Any) -> None:

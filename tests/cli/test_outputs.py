@@ -132,9 +132,7 @@ def everything(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_what_exists_is_refused_and_stays(
-    name: str, typed: Type, tmp_path: Path, capfd: Capture
-) -> None:
+def test_what_is_there_stays(name: str, typed: Type, tmp_path: Path, capfd: Capture) -> None:
     path = output_of(name, tmp_path)
     for kind in ("file", "folder", "link to file", "link to folder"):
         exists(kind, path, tmp_path)
@@ -178,9 +176,7 @@ def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
 
 
 @pytest.mark.parametrize("kind", ["file", "link to file"])
-def test_overwrite_replaces_a_file_but_no_link_s_end(
-    kind: str, typed: Type, tmp_path: Path
-) -> None:
+def test_overwrite_replaces_files_but_no_link_s_end(kind: str, typed: Type, tmp_path: Path) -> None:
     path = output_of("gallery", tmp_path)
     exists(kind, path, tmp_path)
     assert typed("gallery", "--overwrite") == 0
@@ -188,9 +184,7 @@ def test_overwrite_replaces_a_file_but_no_link_s_end(
     assert (tmp_path / "mine" / "file").read_text() == "mine"
 
 
-def test_overwrite_replaces_datasets_not_folders(
-    typed: Type, tmp_path: Path, capfd: Capture
-) -> None:
+def test_overwrite_replaces_sets_not_folders(typed: Type, tmp_path: Path, capfd: Capture) -> None:
     path = output_of("collect", tmp_path)
     words = ("--episodes", "1", "--set", "task.horizon=1", "--workers", "1", "--overwrite")
     exists("folder", path, tmp_path)

@@ -77,9 +77,7 @@ def test_pictures_that_hold_infinity_are_one_line(
 
 @pytest.mark.parametrize("column", ["observation", "force", "applied_fraction"])
 @pytest.mark.parametrize("command", ["page", "verify"])
-def test_infinity_in_steps_is_one_line(
-    command: str, column: str, tmp_path: Path, capfd: Capture
-) -> None:
+def test_infinity_is_one_line(command: str, column: str, tmp_path: Path, capfd: Capture) -> None:
     dataset = open_episodes(TINY["random"])
     values = np.array(dataset.episodes.steps[column])
     values[1] = np.inf

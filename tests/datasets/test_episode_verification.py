@@ -91,9 +91,7 @@ def test_every_stored_column_is_recomputed_or_under_a_digest(
     assert [*episode_faults(tmp_path / "h.h5", lambda episodes, task: labelled)]
 
 
-def test_an_episode_twice_and_a_damaged_file_are_faults(
-    tmp_path: Path, good: EpisodeDataset
-) -> None:
+def test_an_episode_twice_and_a_cut_file_are_faults(tmp_path: Path, good: EpisodeDataset) -> None:
     write_episodes(tmp_path / "h.h5", [good.episodes.select([0, 1, 0])], good.task)
     faults = [*episode_faults(tmp_path / "h.h5", replay)]
     assert [fault for fault in faults if "episode 2: the same as episode 0" in fault]

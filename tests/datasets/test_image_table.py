@@ -77,9 +77,7 @@ def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
         (("source", "rope", 99), "its rows were changed after writing (SHA-256 differs)"),
     ],
 )
-def test_changed_cells_are_found(
-    shard: Path, tmp_path: Path, place: tuple[Any, ...], told: str
-) -> None:
+def test_a_cell_is_checked(shard: Path, tmp_path: Path, place: tuple[Any, ...], told: str) -> None:
     found = [*_image_faults(with_cell(shard, tmp_path, *place))]
     assert any(told in fault for fault in found), found
 

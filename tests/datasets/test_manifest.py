@@ -45,9 +45,7 @@ def written(folder: Path, **changes: Any) -> Path:
         ),
     ],
 )
-def test_what_no_run_writes_is_not_shown(
-    tmp_path: Path, changes: dict[str, Any], said: str
-) -> None:
+def test_what_no_run_writes_isn_t_shown(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     manifest, (fault,) = read_manifest(written(tmp_path, **changes))
     assert said in fault and fault.isprintable() and manifest == {}
 

@@ -47,9 +47,7 @@ def loaded(root: Path, monkeypatch: Patch) -> minari.MinariDataset:
     return minari.load_dataset(ID)
 
 
-def test_minari_does_all_with_it(
-    root: Path, loaded: minari.MinariDataset, monkeypatch: Patch
-) -> None:
+def test_minari_does_it_all(root: Path, loaded: minari.MinariDataset, monkeypatch: Patch) -> None:
     check_minari(root, ID, monkeypatch)
     (_, steps), offsets = (made := open_episodes(TINY["expert"]).episodes), made.offsets
     for one, first, last in zip(loaded.iterate_episodes(), offsets, made.last(), strict=False):

@@ -78,9 +78,7 @@ def test_a_spoilt_answer_is_found(
     assert any(fault.startswith(said) for fault in faults)
 
 
-def test_croissant_tells_all_factors(
-    rows: list[dict[str, Any]], folder: Path, tmp_path: Path
-) -> None:
+def test_croissant_names_factors(rows: list[dict[str, Any]], folder: Path, tmp_path: Path) -> None:
     (tmp_path / "data").symlink_to(folder / "data")
     write_croissant(tmp_path, "photos", "three photos", "photo")
     described = json.loads((tmp_path / "croissant.json").read_text(encoding="utf-8"))

@@ -56,9 +56,7 @@ def test_a_dataset_of_the_other_split_is_named_episode_by_episode(tiny: EpisodeD
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
-def test_starts_of_another_split_are_named(
-    tiny: EpisodeDataset, states: States, noise: float
-) -> None:
+def test_other_split_starts_are_named(tiny: EpisodeDataset, states: States, noise: float) -> None:
     row = int(states.rows(2, "test")[0])
     own, rng = tiny.episodes.episodes, np.random.default_rng(0)
     starts, laid = np.full(3, states.rows(2, "train")[0]), own["start_qpos"].copy()
@@ -80,9 +78,7 @@ def test_the_same_pulls_twice_are_named_whatever_the_seed(tiny: EpisodeDataset) 
     assert _duplicate_faults(silent) == []
 
 
-def test_a_dataset_without_its_states_can_t_be_checked(
-    tiny: EpisodeDataset, tmp_path: Path
-) -> None:
+def test_without_its_states_a_set_can_t_be_checked(tiny: EpisodeDataset, tmp_path: Path) -> None:
     named = replace(tiny, task=replace(tiny.task, states="gone.h5"), path=tmp_path / "e.h5")
     (fault,) = _split_faults(named)
     assert "its split can't be checked" in fault

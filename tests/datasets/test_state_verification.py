@@ -81,9 +81,7 @@ def test_measures_may_differ_by_rounding(pair: States) -> None:
         ("random-walk", 27, 30, ENDS_ELSEWHERE),  # one of the shortest walks
     ],
 )
-def test_another_seed_of_drawing_or_walk_is_found(
-    name: str, row: int, set_: int, fault: str
-) -> None:
+def test_another_seed_of_drawing_or_walk_shows(name: str, row: int, set_: int, fault: str) -> None:
     states = read_states(shipped(name), images=False).take([row])
     changed = altered(altered(states, "source/seed", (0, 0), set_), "source/seed", (0, 4), 9)
     assert any(fault in line for line in _state_faults(changed))

@@ -317,9 +317,7 @@ def test_a_blown_up_simulation_ends_the_episode_unseen(make: Make, observation: 
 
 
 @pytest.mark.parametrize("observation", MODES)
-def test_a_pickled_one_goes_on(
-    registered: Callable[..., gym.Env[Any, Any]], observation: str
-) -> None:
+def test_pickles_go_on(registered: Callable[..., gym.Env[Any, Any]], observation: str) -> None:
     env = registered("knotgym/Tie-v0", observation=observation, horizon=6)
     rollout(env, 0, steps=3)
     again = pickle.loads(pickle.dumps(env))

@@ -1,5 +1,5 @@
 """Ropes of a vector environment behave like single environments, in every autoreset mode; in
-threads, in processes and copied they have the numbers of one alone.
+threads, in processes and pickled they have the numbers of one alone.
 """
 
 import copy

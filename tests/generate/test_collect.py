@@ -126,9 +126,7 @@ def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> N
     assert [path.parents[1] for path in tmp_path.rglob("episodes.h5")] == [folder]
 
 
-def test_datasets_hold_digests_of_origin(
-    tmp_path: Path, monkeypatch: Patch, states_path: str
-) -> None:
+def test_datasets_hold_their_origin(tmp_path: Path, monkeypatch: Patch, states_path: str) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "collected_policy", raising=False)

@@ -73,9 +73,7 @@ def test_pictures_are_as_many_as_asked_for_show_their_codes_and_differ(
     assert list(dataset_faults(folder)) == []
 
 
-def test_leaks_among_splits_are_found(
-    folder: Path, rows: list[dict[str, Any]], tmp_path: Path
-) -> None:
+def test_split_leaks_are_found(folder: Path, rows: list[dict[str, Any]], tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     test, train = shards(copy, "test")[0], next(row for row in rows if row["split"] == "train")

@@ -116,9 +116,7 @@ def test_states_of_two_sources_are_in_order_and_apart(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.parametrize("source", ["drawn", "played", "walked"])
-def test_every_row_is_recomputed_and_replays_exactly(
-    source: str, request: pytest.FixtureRequest
-) -> None:
+def test_every_row_is_recomputed_and_replayed(source: str, request: pytest.FixtureRequest) -> None:
     assert list(dataset_faults(request.getfixturevalue(source))) == []
 
 

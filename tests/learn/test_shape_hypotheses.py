@@ -1,18 +1,14 @@
 """The learner keeps several hypotheses of the rope's shape; motion tells them apart."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.learn.agent import PicturePlayer
-from knotgym.learn.checkpoint import Learned
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, imagine
 from knotgym.rope import ChainSimulation, Rope
-from knotgym.topology import GaussCode
 
 pytestmark = pytest.mark.clients
 
@@ -69,16 +65,3 @@ def test_motion_tells_a_rope_from_its_mirror(tracked: tuple[ShapeHypotheses, Two
     off, mirrored = (np.abs(likeliest[:, 2] - sign * true[:, 2]).mean() for sign in (1, -1))
     assert off < mirrored and hypotheses.weights[0] > 0.5
     assert np.isclose(hypotheses.weights.sum(), 1.0)
-
-
-def test_the_code_shown_is_not_the_goal_while_the_episode_continues() -> None:
-    reader: Any = TwoReadings(tilted_loop())
-    batch: Any = SimpleNamespace(count=1, task=SimpleNamespace(horizon=50))
-    player = PicturePlayer(Learned(reader, np.zeros((1, 3))), batch)
-    player.begin(np.zeros(1, np.int64), [np.random.default_rng(0)])
-    episode, plain, kink = player._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
-    episode.hypotheses.goals = {plain: 0.6, kink: 0.4}
-    picture = np.zeros((128, 128, 3), dtype=np.uint8)
-    episode.hypotheses.start(picture)
-    player._update_goal(episode, picture)
-    assert episode.goal == kink

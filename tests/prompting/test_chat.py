@@ -15,7 +15,7 @@ import pytest
 from knotgym.common import Failed, InvalidInput, one_line
 from knotgym.prompting.chat import Chat, ChatConfig
 
-from .chat_server import Answer, ChatServer, completion
+from .chat_server import Answer, ChatServer, always, completion
 
 pytest.importorskip("openai")
 KEY = "sk-test/+" + "51ec2e7" * 4
@@ -39,10 +39,6 @@ def asked(answer: Callable[[int, Any], Answer], **settings: Any) -> tuple[Any, C
             return SimpleNamespace(**chat.ask([{"role": "user", "content": "?"}])), server
         except Exception as error:
             return error, server
-
-
-def always(answer: Answer) -> Callable[[int, Any], Answer]:
-    return lambda number, body: answer
 
 
 @pytest.mark.parametrize(

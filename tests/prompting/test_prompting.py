@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from base64 import b64encode
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from knotgym.prompting.transcripts import _read_transcripts, reading_scores, sho
 from knotgym.runs import RunOptions
 
 from ..small_job import staging_of
-from .chat_server import Answer, ChatServer, completion, hashes, kinds
+from .chat_server import Answer, ChatServer, always, completion, hashes, kinds
 
 pytest.importorskip("openai")
 KEY = "sk-test/+" + "51ec2e7" * 4
@@ -40,10 +39,6 @@ def config(url: str, mode: str = "stateless", **more: Any) -> PromptConfig:
     task = TaskConfig(task="unknot", nx=2, horizon=4, image_size=16)
     usual = {"mode": mode, "chat": chat, "task": task, "episodes": 1, "side_by_side": 1}
     return PromptConfig(**{**usual, **more})
-
-
-def always(answer: Answer) -> Callable[[int, Any], Answer]:
-    return lambda number, body: answer
 
 
 def played(server: ChatServer, out: Path, mode: str = "stateless", **more: Any) -> Any:

@@ -163,14 +163,6 @@ def test_strands_differ_where_every_path_over_the_picture_is_long(row: int, walk
     assert found == pytest.approx(spacing_by_graph(points, walk), rel=1e-9)
 
 
-def test_a_coil_seen_end_on_hides_crossings() -> None:
-    turn = np.linspace(0, 4 * np.pi, 300)
-    coil = np.stack(
-        [10 * np.cos(turn) * (1 + turn / 40), 10 * np.sin(turn) * (1 + turn / 40), 3 * turn], axis=1
-    )
-    assert measure(drawn([*coil, (60, 0, 30), (60, 0, 0)])).excess_crossing_number > 0.8
-
-
 def test_the_excess_crossing_number_compares_with_the_average_over_all_views() -> None:
     rng = np.random.default_rng(0)
     points = rng.normal(size=(6, 3)) * 0.1

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.rendering import photo_kernels
 from knotgym.rendering.photo import photograph, take
 from knotgym.rendering.photo_painting import Shot
 from knotgym.states import read_states, shipped
@@ -122,16 +121,6 @@ def test_answers_are_those_of_an_outside_computation(size: int) -> None:
     speed = f"{PHOTOS / spent:.0f} with answers a CPU second"
     print(f"{size} pixels: {PHOTOS} photos, {crossings} crossings; {speed}")
     assert not wrong
-
-
-def test_places_beyond_the_end_of_a_piece_are_still_its_own() -> None:
-    """The place after the last piece is no strand's: one pixel of the mask would be missing."""
-    corners = np.array([(10, 10, 0), (30, 10, 0), (30, 30, 0), (10, 30, 0)], np.float32)
-    flags = np.array([0, 0, 0, photo_kernels.UNDER], np.uint8)
-    square = np.full((2, 40, 40), photo_kernels.FAR, np.float32)
-    place = np.empty_like(square)
-    photo_kernels.stamp(corners, np.array([1, 2, 3, 0]), flags, 5.0, square, place)
-    assert set(place[square < photo_kernels.FAR].astype(int).tolist()) == {3}
 
 
 def test_a_photo_is_taken_again_from_points_and_appearance() -> None:

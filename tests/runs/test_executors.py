@@ -86,9 +86,7 @@ def test_a_lost_worker_changes_no_byte(name: str, tmp_path: Path, monkeypatch: P
     assert content(there) == content(here)
 
 
-def test_a_dead_scheduler_is_one_line_and_the_run_goes_on(
-    tmp_path: Path, monkeypatch: Patch
-) -> None:
+def test_a_dead_scheduler_is_one_line_the_run_goes_on(tmp_path: Path, monkeypatch: Patch) -> None:
     def kill_all(self: Journal, *arguments: Any) -> None:
         kept(self, *arguments)
         for process in dask.processes:

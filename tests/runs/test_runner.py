@@ -259,9 +259,7 @@ def _size(journal: Path) -> int:
     return sum(name.endswith(".npy") for *_, names in os.walk(journal) for name in names)
 
 
-def test_without_locks_a_disk_is_one_line_and_left_clean(
-    tmp_path: Path, monkeypatch: Patch
-) -> None:
+def test_a_disk_without_locks_is_one_line_and_is_clean(tmp_path: Path, monkeypatch: Patch) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 

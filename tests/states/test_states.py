@@ -62,11 +62,6 @@ def test_merged_states_are_sorted_by_nx_and_keep_all_configurations(states: Stat
     assert merged.attributes["config"] == [{"made": "by hand"}] * 2
 
 
-def test_actions_are_padded_to_the_longest() -> None:
-    parts = [read_states(shipped(name)) for name in ("readable", "hard-unknots")]
-    assert merge_states(parts).source["actions"].shape[1] == 92
-
-
 def test_states_with_other_columns_or_the_same_rows_are_not_merged(states: States) -> None:
     with pytest.raises(InvalidFile, match="file 1 can't be merged with the others: column source/"):
         merge_states([states, read_states(shipped())])

@@ -128,8 +128,3 @@ def test_every_planar_code_is_as_likely_as_any_other(nx: int, draws: int) -> Non
     codes = {str(code) for code in planar_codes(nx)}
     assert set(counts) == codes
     assert chi_square(counts, len(codes)) < 2
-
-
-def test_the_same_generator_draws_the_same_code() -> None:
-    one, other = (uniform_code(8, np.random.default_rng(3)) for _ in range(2))
-    assert one == other and one.nx == 8

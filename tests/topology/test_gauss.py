@@ -30,11 +30,6 @@ def test_images_undo_themselves_and_rebasing_adds_up(code: GaussCode, j: int, k:
     assert code.rebased(j).rebased(k) == code.rebased(j + k)
 
 
-def test_the_flat_loop_is_the_empty_text() -> None:
-    flat = GaussCode.parse("")
-    assert (str(flat), flat.chiral, flat.nx, flat.writhe) == ("", "", 0, 0)
-
-
 MALFORMED = """1 1+ 1+,1+ 1+,1-, , 0+,0- 2+,2- 1+,2-,1- 1+,1-,1+,1- +1,-1 1+-,1- ----
     1+a,1-c 1+a,1- 1+b,1-b 1+a,1-a,2+,2-"""
 
