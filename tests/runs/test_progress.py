@@ -58,6 +58,12 @@ def test_a_terminal_is_told_while_printed_words_go_elsewhere(monkeypatch: Patch)
     with Progress() as progress, redirect_stdout(io.StringIO()) as kept:
         progress.say("told")
     assert "told" in terminal.getvalue() and not kept.getvalue()
+    # while output is piped, a person who watches is told on standard error
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    monkeypatch.setattr(sys, "stderr", watched := Terminal())
+    with Progress() as progress:
+        progress.stage("playing", 1, 2)
+    assert "\x1b" in watched.getvalue()  # a live line
 
 
 def shown(*done: int) -> str:
