@@ -178,8 +178,6 @@ def rollouts(
             draws = [Stream.POLICY.generator(max(0, s), attempt) for s in batch.seed[ids].tolist()]
             player.begin(ids.copy(), draws)
             record.begin(ids)
-            if advice is not None:
-                advice.begin(ids)
         playing = np.flatnonzero(batch.number >= 0)
         if not len(playing):
             return record.whole()
@@ -238,42 +236,35 @@ class _Coming:
     def __init__(self, batch: EpisodeBatch, seeds: Sequence[int] | Table) -> None:
         self._batch, self._seeds = batch, seeds
         self._todo = seeds.rows if isinstance(seeds, Table) else len(seeds)
-        self._begun = self._laid = 0  # episodes begun in lanes; episodes laid
-        self._spare: EpisodeBatch | None = None
-        self._row = 0  # of the next episode in the spare batch
+        self._begun = 0  # episodes begun in lanes
+        self._spare: Any = None  # a batch
+        self._ready = np.empty(0, np.int64)  # rows of it with the next episodes
 
     def begin(self, free: Ids) -> Ids:
         """Begin the next episodes in free lanes; return those that were needed."""
-        ids = free[: self._todo - self._begun]
-        left = ids
+        ids = left = free[: self._todo - self._begun]
         if not self._begun:
             self._lay(self._batch, ids)
-            left = ids[:0]
+            self._number(ids)
+            return ids
         while len(left):
-            if self._laid == self._begun:
+            if not len(self._ready):
                 # the last block is no larger than what is left to play
-                size = min(_BLOCK, self._todo - self._begun)
-                if self._spare is None:
-                    self._spare = EpisodeBatch(self._batch.task, size)
-                self._lay(self._spare, np.arange(size))
-                self._row = 0
-            assert self._spare is not None
-            some = left[: self._laid - self._begun]
-            self._batch.copy_from(self._spare, np.arange(self._row, self._row + len(some)), some)
+                self._ready = np.arange(min(_BLOCK, self._todo - self._begun))
+                self._spare = self._spare or EpisodeBatch(self._batch.task, len(self._ready))
+                self._lay(self._spare, self._ready)
+            rows, self._ready = np.split(self._ready, [len(left)])
+            some, left = left[: len(rows)], left[len(rows) :]
+            self._batch.copy_from(self._spare, rows, some)
             self._number(some)
-            self._row += len(some)
-            left = left[len(some) :]
         return ids
 
     def _lay(self, batch: EpisodeBatch, ids: Ids) -> None:
-        some = slice(self._laid, self._laid + len(ids))
+        some = slice(self._begun, self._begun + len(ids))
         if isinstance(self._seeds, Table):
             batch.restore(ids, self._seeds.take(some))
         else:
             batch.begin(ids, [*self._seeds[some]])
-        self._laid += len(ids)
-        if batch is self._batch:
-            self._number(ids)
 
     def _number(self, ids: Ids) -> None:
         self._batch.number[ids] = np.arange(self._begun, self._begun + len(ids))
@@ -285,17 +276,15 @@ class _Advice:
 
     def __init__(self, player: Player, batch: EpisodeBatch) -> None:
         self._player, self._batch = player, batch
-        self._asked = np.empty(batch.count, dtype=np.int64)  # step that was last asked about
-        self.planned = np.empty(batch.count, dtype=np.int64)
-
-    def begin(self, ids: Ids) -> None:
-        """Episodes begin in lanes."""
-        self._asked[ids], self.planned[ids] = -1, 0
+        self._asked = np.full((2, batch.count), -1)  # episode and step last asked about
+        self.planned = np.zeros(batch.count, dtype=np.int64)
 
     def given(self, playing: Ids) -> Pulls:
         """Return pulls for the lanes that moved since they were last asked about."""
+        now = np.stack([self._batch.number, self._batch.steps])
         steps = self._batch.steps
-        asked = playing[self._asked[playing] != steps[playing]]
+        self.planned[self._asked[0] != now[0]] = 0
+        asked = playing[(self._asked != now).any(axis=0)[playing]]
         beads = np.zeros(len(asked), dtype=np.int64)
         forces = np.zeros((len(asked), 3), dtype=np.float32)
         if len(asked):
@@ -309,7 +298,7 @@ class _Advice:
             rows = np.searchsorted(asked, pulls.ids)
             beads[rows], forces[rows] = pulls.beads, pulls.forces
             waiting = np.setdiff1d(waiting, pulls.ids, assume_unique=True)
-        self._asked[asked] = steps[asked]
+        self._asked[:, asked] = now[:, asked]
         self.planned[asked] += self._player.planned[asked]
         return Pulls(asked, beads, forces)
 

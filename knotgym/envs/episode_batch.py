@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Threads
+from knotgym.common import InvalidInput, Threads, padded
 from knotgym.envs.observations import Observer
 from knotgym.envs.reward import Outcome, Situation
 from knotgym.envs.task_states import TaskSide, task_sides
@@ -403,11 +403,9 @@ class EpisodeBatch:
 
     def _widen(self, columns: int) -> None:
         """Make room for codes of so many visits."""
-        more = columns - self.visits.shape[1]
-        if more > 0:
-            self.visits = np.pad(self.visits, ((0, 0), (0, more)))
-            self.wanted = np.pad(self.wanted, ((0, 0), (0, more)))
-            self.signs = np.pad(self.signs, ((0, 0), (0, more // 2)))
+        columns = max(columns, self.visits.shape[1])
+        self.visits, self.wanted = padded(self.visits, columns), padded(self.wanted, columns)
+        self.signs = padded(self.signs, columns // 2)
 
     def _pictures(self, ids: Ids) -> NDArray[np.uint8]:
         goals = self.goal_row[ids].tolist()

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rope import ActionView, nearest_beads
-from knotgym.topology import GaussCode, find_crossings
+from knotgym.topology import GaussCode, Symmetry, find_crossings, images
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -250,16 +250,12 @@ def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_])
 @lru_cache(maxsize=100_000)
 def _canonical_image(goal: Visits, code: Visits) -> tuple[bool, bool, Tokens, Tokens]:
     """Return whether to reverse and to switch, and the tokens of the goal and of the code then."""
-    images = []
-    for reverse in (False, True):
-        for switch in (False, True):
-            shown = [GaussCode(visits) for visits in (goal, code)]
-            shown = [one.reversed() for one in shown] if reverse else shown
-            shown = [one.switched() for one in shown] if switch else shown
-            images.append((shown[0].visits, shown[1].visits, reverse, switch))
+    walks = Symmetry.SWITCH | Symmetry.REVERSE
+    pairs = [*zip(*(images(GaussCode(one), walks) for one in (goal, code)), strict=True)]
     # the first of equal ones, so that a rope isn't reversed without need
-    best = max(images, key=lambda image: image[:2])
-    return best[2], best[3], _tokens(best[0]), _tokens(best[1])
+    best = max(range(len(pairs)), key=lambda k: [one.visits for one in pairs[k]])
+    first, second = pairs[best]
+    return best > 1, best % 2 == 1, _tokens(first.visits), _tokens(second.visits)
 
 
 def _tokens(visits: Visits) -> Tokens:

@@ -19,7 +19,7 @@ import hashlib
 import json
 import zlib
 from dataclasses import asdict
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,12 +99,10 @@ class DrawnFrames:
         every = [(ids.ravel(), np.repeat(goals, ids.size // max(1, len(goals)))) for ids in shown]
         found: dict[str, list[NDArray[Any]]] = {}
         for name in self._names:
-            if name == "marked" or self._canonical:
-                seen = self._marked if name == "marked" else self._canonical_states
-                found[name] = [seen(*pair) for pair in every]
-                continue
             if name != "pixels":
-                found[name] = [self._beside(name, *pair) for pair in every]
+                alone = self._canonical_states if self._canonical else partial(self._beside, name)
+                seen = self._marked if name == "marked" else alone
+                found[name] = [seen(*pair) for pair in every]
                 continue
             halves = self._halves(name, [ids for pair in every for ids in pair])
             # along which the goal follows the rope

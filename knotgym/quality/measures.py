@@ -193,11 +193,12 @@ def _borders(code: GaussCode) -> Array:
     return incidence
 
 
-def _regions(pixels: Array, width: float, fine: int = 3) -> Array:
+def _regions(pixels: Array, width: float) -> Array:
     """Return the areas of the background's connected regions, square pixels.
 
-    The rope is drawn as a closed band of the given width, pixels, with `fine` dots per pixel.
+    The rope is drawn as a closed band of the given width, pixels, with `fine` dots to a pixel.
     """
+    fine = 3
     # a border of 4 pixels keeps the outside connected
     low = np.floor(pixels.min(axis=0)) - 4
     high = np.ceil(pixels.max(axis=0)) + 4 - low

@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -178,23 +177,3 @@ def _hsv(hue: Any, saturation: Any, value: Any) -> Array:
     # B.
     part = (hue / 60.0 + np.array([5.0, 3.0, 1.0])) % 6.0
     return 255 * value * (1 - saturation * np.clip(np.minimum(part, 4 - part), 0, 1))
-
-
-def lab(colours: Array) -> Array:
-    """Return CIELAB (n, 3) of RGB levels (n, 3), with a and b at half weight."""
-    # OpenCV keeps L, which is 0 to 100, in 0 to 255
-    levels = np.minimum(np.maximum(colours, 0), 255).astype(np.uint8)
-    return cv2.cvtColor(levels[None], cv2.COLOR_RGB2LAB)[0] * np.array([100 / 255, 0.5, 0.5])
-
-
-def lengths(vectors: Array) -> Array:
-    """Return the lengths of vectors along the last axis, which NumPy is slow to sum over."""
-    return np.sqrt(sum(np.square(vectors[..., k]) for k in range(vectors.shape[-1])))
-
-
-def low_of(values: Array) -> Array:
-    """Return the value that a twentieth of the last axis is below."""
-    # a twentieth may be dark, such as specks and ends of clutter; only one order statistic, so no
-    # sort
-    k = values.shape[-1] // 20
-    return np.partition(values, k, axis=-1)[..., k]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from knotgym.common import Stream
 from knotgym.rendering import photo_kernels as kernels
 from knotgym.rendering.diagram import smooth_curve
-from knotgym.rendering.photo_look import LIMITS, SURFACES, Photo, drawn_dyes, lab, lengths, low_of
+from knotgym.rendering.photo_look import LIMITS, SURFACES, Photo, drawn_dyes
 from knotgym.rendering.variation import Appearance, Drawn, Rng, levels_of
 from knotgym.topology import Crossings, Symmetry, canonical, find_crossings
 
@@ -193,11 +193,11 @@ class PhotoView:
         # Less than shading leaves of a dye on average (of 80 photos: 0.81 with the grooves of a
         # twist, else 0.92), so that what fits here nearly always fits in the picture: 110 of 129
         # views are legible with their first appearance. The same holds for 6 and 2.6 below.
-        rope = lab((0.66 if look.twisted else 0.8) * dyes)
+        rope = _lab((0.66 if look.twisted else 0.8) * dyes)
         behind = ground[y, x].astype(np.float64)
-        lit, shaded = lab(behind), lab((1 - 0.55 * look.shadow) * behind)
-        apart = [lengths(rope[:, None] - one) for one in (lit, shaded)]
-        contrast = np.min([low_of(one) for one in apart], axis=0)
+        lit, shaded = _lab(behind), _lab((1 - 0.55 * look.shadow) * behind)
+        apart = [_lengths(rope[:, None] - one) for one in (lit, shaded)]
+        contrast = np.min([_low_of(one) for one in apart], axis=0)
         # where the rope is dark, shadows don't show which strand is over
         fits = (contrast > LIMITS.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * LIMITS.order)
         best = int(np.argmax(fits)) if fits.any() else int(np.argmax(contrast + rope[:, 0]))
@@ -331,10 +331,10 @@ def _with_others(
     """Lay pieces of other ropes that come in from the picture's edge and touch nothing."""
     curve, after, size = view.curve, view.after, look.size
     space = 2 * view.radius + 9.0 * view.unit  # between axes, px
-    own = lab(np.array([look.first], np.float64))
+    own = _lab(np.array([look.first], np.float64))
     for _ in range(look.others):
         dyes = drawn_dyes(rng, 8)
-        dye = dyes[int(np.argmax(np.linalg.norm(lab(dyes) - own, axis=1) > 15))]
+        dye = dyes[int(np.argmax(np.linalg.norm(_lab(dyes) - own, axis=1) > 15))]
         side, start = rng.integers(4), rng.uniform(0.1, 0.9)
         x, y = ((start, 0.0), (1.0, start), (start, 1.0), (0.0, start))[side]
         bends = np.cumsum(0.3 * rng.uniform(-1, 1, 60)) * 0.3 + rng.uniform(-0.6, 0.6)
@@ -367,7 +367,7 @@ def _occlude(view: PhotoView, look: Photo, picture: Array, rng: Rng) -> Array:
     for _ in range(8 * look.occluders):
         k, reach = int(rng.integers(n)), float(rng.uniform(1.2, 2.0)) * view.radius + 3.0
         clear = 1.5 * (reach + view.radius + 3.0)
-        near = np.flatnonzero(lengths(flat - flat[k]) < clear)
+        near = np.flatnonzero(_lengths(flat - flat[k]) < clear)
         apart = np.abs(near - k)
         apart = np.minimum(apart, n - apart)
         taken = [abs(k - other) < n // 20 for other, _ in chosen]
@@ -386,10 +386,10 @@ def _occlude(view: PhotoView, look: Photo, picture: Array, rng: Rng) -> Array:
 
 def _contrasts(view: PhotoView, shown: Array, inner: Array, outer: Array) -> tuple[float, float]:
     """Measure contrast and order of a picture without noise; see `Legibility`."""
-    rope, behind = (lab(shown[at[:, 1], at[:, 0]]) for at in (inner, outer))
+    rope, behind = (_lab(shown[at[:, 1], at[:, 0]]) for at in (inner, outer))
     # averaged along the rope, so that a twist's grooves don't count as its colour
     rope = cv2.blur(rope, (1, 5))
-    contrast = float(low_of(lengths(rope - behind)))
+    contrast = float(_low_of(_lengths(rope - behind)))
     if not len(view.over):
         return contrast, math.inf
     middle = view.at(view.over)
@@ -400,6 +400,26 @@ def _contrasts(view: PhotoView, shown: Array, inner: Array, outer: Array) -> tup
     for side in (-1, 1):  # the under strand disappears on both sides
         spots += [middle + side * (view.radius + off) / sine * across for off in (0.4, 1.0, 1.6)]
     x, y = np.clip(np.concatenate(spots), 0, view.size - 1).astype(np.int64).T
-    seen = lab(shown[y, x]).reshape(9, -1, 3)
-    apart = lengths(seen[3:] - seen[:3].mean(axis=0)).reshape(2, 3, -1)
+    seen = _lab(shown[y, x]).reshape(9, -1, 3)
+    apart = _lengths(seen[3:] - seen[:3].mean(axis=0)).reshape(2, 3, -1)
     return contrast, float(apart.max(axis=1).min())
+
+
+def _lab(colours: Array) -> Array:
+    """Return CIELAB (n, 3) of RGB levels (n, 3), with a and b at half weight."""
+    # OpenCV keeps L, which is 0 to 100, in 0 to 255
+    levels = np.minimum(np.maximum(colours, 0), 255).astype(np.uint8)
+    return cv2.cvtColor(levels[None], cv2.COLOR_RGB2LAB)[0] * np.array([100 / 255, 0.5, 0.5])
+
+
+def _lengths(vectors: Array) -> Array:
+    """Return the lengths of vectors along the last axis, which NumPy is slow to sum over."""
+    return np.sqrt(sum(np.square(vectors[..., k]) for k in range(vectors.shape[-1])))
+
+
+def _low_of(values: Array) -> Array:
+    """Return the value that a twentieth of the last axis is below."""
+    # a twentieth may be dark, such as specks and ends of clutter; only one order statistic, so no
+    # sort
+    k = values.shape[-1] // 20
+    return np.partition(values, k, axis=-1)[..., k]

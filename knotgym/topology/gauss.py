@@ -15,12 +15,11 @@ nothing.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from knotgym.common import InvalidInput
 
-_ONCE = "expected once over (+) and once under (-)"
 _SWITCHED = str.maketrans("ac", "ca")
 _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
 
@@ -165,15 +164,6 @@ class GaussCode:
         """
         return tuple([1 if letter == "c" else -1 for letter in self._letters()])
 
-    @property
-    def writhe(self) -> int:
-        """The sum of the crossing signs.
-
-        >>> GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c").writhe  # right-handed trefoil
-        3
-        """
-        return sum(self.signs)
-
     def matches(self, other: GaussCode) -> bool:
         """Return whether both codes have the same visits, whatever their chirality."""
         return self.visits == other.visits
@@ -242,14 +232,14 @@ class GaussCode:
         return GaussCode.trusted(renamed, letters)
 
 
-def _numbers(visits: tuple[int, ...]) -> dict[int, int]:
+def _numbers(visits: Sequence[int]) -> dict[int, int]:
     """Map labels to 1, 2, ... in order of first visit."""
     # a dict keeps the order of first insertion, which is that of first visits
     labels = dict.fromkeys([visit if visit > 0 else -visit for visit in visits])
     return {label: number for number, label in enumerate(labels, 1)}
 
 
-def _check_visits(visits: Iterable[int], given: object = None) -> None:
+def _check_visits(visits: Sequence[int], given: object = None) -> None:
     """Check that each label is visited once over and once under, in order of first visit.
 
     Args:
@@ -260,23 +250,15 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
         InvalidInput: they are not a Gauss code.
     """
     given = visits if given is None else given
-    awaited: list[int] = []  # per label the visit still to come, 0 once it has come
-    for visit in visits:
-        label = abs(visit)
-        if label == len(awaited) + 1:
-            awaited.append(-visit)
-        elif not 0 < label <= len(awaited):
-            expected = f"labels are in order of first visit, so the next one is {len(awaited) + 1}"
-            raise invalid_code(f"label {label} comes too early", given, expected)
-        elif awaited[label - 1] != visit:
-            problem = f"crossing {label} is visited twice on one strand, or too often"
-            raise invalid_code(problem, given, _ONCE)
-        else:
-            awaited[label - 1] = 0
-    if any(awaited):
-        # the first crossing that still waits for its other visit
-        label = next(index for index, visit in enumerate(awaited, 1) if visit)
-        raise invalid_code(f"crossing {label} is visited only once", given, _ONCE)
+    numbers = _numbers(visits)
+    if any(label != number for label, number in numbers.items()):
+        expected = "in order of first visit they are 1, 2, 3, ..."
+        raise invalid_code("its labels are out of order", given, expected)
+    if not len(visits) == len({*visits}) == 2 * len(numbers):
+        counts = ((k, visits.count(k), visits.count(-k)) for k in numbers)
+        label, over, under = next(one for one in counts if one[1:] != (1, 1))
+        problem = f"crossing {label} is visited {over} times over and {under} under"
+        raise invalid_code(problem, given, "expected once over (+) and once under (-)")
 
 
 def invalid_code(problem: str, given: object, expected: str, kind: str = "Gauss") -> InvalidInput:

@@ -97,7 +97,8 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
                 new[joined] = new.get(joined, 0) + term
         states = new
     # normalize: multiply by (-A^3)^-writhe, and substitute t = A^-4
-    sign, shift = (-1 if code.writhe % 2 else 1), lowest + 3 * code.writhe
+    writhe = sum(code.signs)
+    sign, shift = (-1 if writhe % 2 else 1), lowest + 3 * writhe
     bracket = enumerate(_digits(states[frozenset()], digits))
     return tuple(sorted((-(power - shift) // 4, sign * value) for power, value in bracket if value))
 

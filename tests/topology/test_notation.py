@@ -128,7 +128,7 @@ def test_codes_are_read_as_others_write_them(text: str, code: GaussCode) -> None
         ("__import__('os')", "cannot read the visit"),
         ("O1+U1-", "crossing 1 has two signs"),
         ("O1+U2O2+U1", "only some visits have a sign"),
-        ("KnotInfo:{1,2}", "crossing 1 is visited only once"),
+        ("KnotInfo:{1,2}", "crossing 1 is visited 0 times over and 1 under"),
         ("{-1,2,-3,1,-2,3}", "KnotInfo:"),
         ("1 -2 -1 2", "no planar diagram has it"),
         ("1 -1 ++", "it has 1 crossings and 2 signs"),

@@ -79,11 +79,6 @@ class LaneSearches:
         self._follower = WaypointFollower(1)
         self._at_rest: ChainSimulation | None = None
 
-    def begin(self, ids: Ids) -> None:
-        """Reset the lanes in which episodes begin."""
-        self.forget(ids)
-        self.planned[ids] = 0
-
     def forget(self, ids: Ids) -> None:
         """Drop the searches for some lanes."""
         # only searches under way: another episode's result must not arrive in this one
@@ -155,7 +150,8 @@ class PullPlayer(Player):
         self.planned = searches.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
-        self._searches.begin(ids)
+        self._searches.forget(ids)
+        self.planned[ids] = 0
         self._rngs |= dict(zip(ids.tolist(), rngs, strict=True))
         for index in ids.tolist():
             self._plans.pop(index, None)

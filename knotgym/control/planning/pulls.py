@@ -165,51 +165,55 @@ class PullPlan(NamedTuple):
     spent: int
 
 
-class _Pool:
-    """The states met so far, grouped by code, with what `choose` needs to weigh each code.
+@dataclass(eq=False)
+class _Met:
+    """A code that was met.
 
-    Codes get rows in the order in which they are met; the arrays below are indexed by row.
+    Attributes:
+        distance: to the goal.
+        left: estimated pulls to the goal.
+        nodes: states that show it.
+        earliest: the fewest pulls from the root to one of them.
+        tries: macro-actions from states of the code.
+    """
+
+    distance: float
+    left: float
+    nodes: list[_Node] = field(default_factory=list)
+    earliest: int = 0
+    tries: int = 0
+
+
+class _Pool:
+    """The states met so far, grouped by code.
+
+    Attributes:
+        met: the codes, in the order in which they were met.
     """
 
     def __init__(self, guide: Guide, nx_as_hops: bool) -> None:
         """Take a guide, and whether crossings stand for hops that aren't known."""
         self._guide, self._nx_as_hops = guide, nx_as_hops
-        self._rows = dict[GaussCode, int]()
-        self._nodes = list[list[_Node]]()
-        self._distance = np.empty(0)  # to the goal
-        self._left = np.empty(0)  # estimated pulls to the goal
-        # macro-actions from states of the code, and the fewest pulls from the root
-        self._tries, self._earliest = np.empty((2, 0), np.int64)
-
-    def _hops(self, code: GaussCode) -> int:
-        """Estimated number of changes of code to the goal."""
-        return self._guide.hops(code, code.nx if self._nx_as_hops else _UNKNOWN_HOPS)
+        self.met = dict[GaussCode, _Met]()
 
     def add(self, node: _Node, most: float = math.inf) -> None:
         """Add a state, unless the goal can't be reached through it within `most` pulls.
 
         If its code now has too many states, drop the one latest and tried most often.
         """
+        code = node.code
+        hops = self._guide.hops(code, code.nx if self._nx_as_hops else _UNKNOWN_HOPS)
         # optimistic: every change of code that is left takes the fewest pulls it can
-        if node.steps + _LEAST_STRIDE * self._hops(node.code) > most:
+        if node.steps + _LEAST_STRIDE * hops > most:
             return
-        if node.code not in self._rows:
-            self._rows[node.code] = len(self._nodes)
-            self._nodes.append([])
-            self._distance = np.append(self._distance, self._guide.distance(node.code))
-            self._left = np.append(self._left, _STRIDE * self._hops(node.code))
-            self._tries, self._earliest = np.append(self._tries, 0), np.append(self._earliest, 0)
-        row = self._rows[node.code]
-        nodes = self._nodes[row]
-        nodes.append(node)
-        if len(nodes) > _KEPT:
-            nodes.remove(max(nodes, key=lambda one: one.steps + _TRY_COST * one.tries))
+        if code not in self.met:
+            self.met[code] = _Met(self._guide.distance(code), _STRIDE * hops)
+        own = self.met[code]
+        own.nodes.append(node)
+        if len(own.nodes) > _KEPT:
+            own.nodes.remove(max(own.nodes, key=lambda one: one.steps + _TRY_COST * one.tries))
         # computed again, since the state dropped may have been the earliest
-        self._earliest[row] = min(one.steps for one in nodes)
-
-    def tries(self, code: GaussCode) -> int:
-        """Number of macro-actions from states of this code."""
-        return int(self._tries[self._rows[code]]) if code in self._rows else 0
+        own.earliest = min(one.steps for one in own.nodes)
 
     def choose(self, rng: np.random.Generator) -> _Node:
         """Draw a code, then a state that shows it, and count the try."""
@@ -217,24 +221,24 @@ class _Pool:
         # (weariness), and with the estimated length of an episode through it (patience). Lengths
         # are compared to the shortest one, which keeps the exponentials from underflowing.
         # Python's powers and exponentials, because NumPy's round by processor.
-        late = self._earliest + self._left
-        weights = (
-            np.array([(1 + one) ** -_GREED for one in self._distance.tolist()])
-            / (1 + self._tries / _WEARINESS)
-            * [math.exp(-one / _PATIENCE) for one in (late - late.min()).tolist()]
-        )
-        row = _drawn_index(weights, rng)
+        every = [*self.met.values()]
+        shortest = min(one.earliest + one.left for one in every)
+        weights = [
+            (1 + one.distance) ** -_GREED
+            / (1 + one.tries / _WEARINESS)
+            * math.exp((shortest - (one.earliest + one.left)) / _PATIENCE)
+            for one in every
+        ]
+        own = every[_drawn_index(np.array(weights), rng)]
         # among the code's states: early ones, and ones tried less often
-        nodes = self._nodes[row]
-        fresh = [math.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in nodes]
-        node = nodes[_drawn_index(np.array(fresh), rng)]
-        node.tries += 1
-        self._tries[row] += 1
+        fresh = [math.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in own.nodes]
+        node = own.nodes[_drawn_index(np.array(fresh), rng)]
+        node.tries, own.tries = node.tries + 1, own.tries + 1
         return node
 
     def nearest(self) -> _Node:
         """The state nearest to the goal; of these the earliest."""
-        every = (one for nodes in self._nodes for one in nodes)
+        every = (node for own in self.met.values() for node in own.nodes)
         return min(every, key=lambda one: (self._guide.distance(one.code), one.steps))
 
 
@@ -346,7 +350,7 @@ class PullSearch:
                 return report.over or far(code) < far(at.code)
             if code != shown[slot]:
                 return True
-            return report.over and (pool.tries(at.code) > _STUCK or code != at.code)
+            return report.over and (pool.met[at.code].tries > _STUCK or code != at.code)
 
         while spent + count <= budget and steps > 0:
             free = [slot for slot in range(count) if slot not in begun]
