@@ -8,7 +8,6 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from pytest_types import Patch
 
 from knotgym.common.atomic_files import atomic_write, remove, require_output, sha256
 from knotgym.common.errors import KnotgymError, Occupied
@@ -16,13 +15,6 @@ from knotgym.common.errors import KnotgymError, Occupied
 
 class Interrupted(Exception):
     """Any error that stops a writer."""
-
-
-def test_a_file_appears_with_what_was_written(tmp_path: Path, monkeypatch: Patch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with atomic_write("made/on/the way/a.txt") as temporary:
-        temporary.write_text("whole")
-    assert (tmp_path / "made" / "on" / "the way" / "a.txt").read_text() == "whole"
 
 
 @pytest.mark.parametrize("text", [None, "old"])

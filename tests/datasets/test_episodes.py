@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_episodes import code_rows, episodes, sign_rows
+from synthetic_episodes import code_rows, episodes
 
 from knotgym.datasets.episodes import Episodes, fitted, gauss_codes
 from knotgym.topology import GaussCode
@@ -43,15 +43,6 @@ def test_merged_codes_are_as_wide_as_the_longest() -> None:
     both = Episodes.merged([fitted([one.select([0])])[0], two])
     assert both.steps["visits"].shape[1] == 4
     assert gauss_codes(both.steps["visits"]).tolist() == ["", "1+,1-", "", "1+,2-,2+,1-"]
-
-
-def test_a_code_of_a_hundred_crossings_is_kept_whole() -> None:
-    long = GaussCode(tuple(v for k in range(1, 101) for v in (k, -k)), "a" * 100)
-    assert code_rows([long], Episodes.code_sizes(100)["visits"]).max() == 100
-    assert gauss_codes(code_rows([long]), sign_rows([long])).tolist() == [long.chiral]
-    codes = [GaussCode.parse(text) for text in CODES]
-    assert gauss_codes(code_rows(codes)).tolist() == [str(code) for code in codes]
-    assert gauss_codes(code_rows(codes), sign_rows(codes)).tolist() == CODES
 
 
 def test_differences_name_episode_step_and_column() -> None:

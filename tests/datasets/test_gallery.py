@@ -19,14 +19,6 @@ def test_a_contact_sheet_holds_every_picture_unchanged_in_a_frame_of_its_colour(
         assert (sheet[top - 1, left : left + 16] == colour).all()
 
 
-def test_a_caption_too_long_for_its_picture_is_written_smaller() -> None:
-    image = np.zeros((128, 128, 3), dtype=np.uint8)
-    code = ",".join(f"{number}+a" for number in (*range(1, 7), *range(1, 7)))
-    short, long = (_contact_sheet([Tile(image, (text, "b"))]) for text in ("1+a", code))
-    assert long.shape == short.shape and not np.array_equal(long, short)
-    assert (long[short.shape[0] - 12 :] != long[-1, 0]).any()
-
-
 def test_of_many_states_a_sheet_shows_some_of_each_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("knotgym.datasets.gallery.MOST_STATES", 12)
     tiles = state_tiles(read_states("bench", images=False))

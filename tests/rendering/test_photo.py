@@ -138,6 +138,12 @@ def test_no_camera_shows_two_strands_that_lie_on_each_other() -> None:
     assert photograph(np.concatenate([there, back]), 128, np.random.default_rng(0)) is None
 
 
+def test_a_plain_loop_is_one_strand() -> None:
+    loop = read_states(shipped(), images=False).points[0]
+    shot = photograph(loop, 128, np.random.default_rng(0))
+    assert shot is not None and [one["strand"] for one in shot.columns["boxes"]] == [1]
+
+
 def test_things_on_the_rope_cover_straight_pieces_of_single_strands_and_no_tape() -> None:
     found = 0
     for _, shot in photos(8, 128, 4):

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.rope.engines import ENGINES, simulation, simulation_of
+from knotgym.rope.engines import ENGINES, simulation
 from knotgym.rope.interface import Simulation
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
@@ -154,13 +154,6 @@ def test_another_rope_is_pickled_whole(engine: str) -> None:
     again = pickle.loads(pickle.dumps(ropes))
     assert again.rope.config == ropes.rope.config
     assert np.array_equal(moved(again, 2, seed=1), moved(ropes, 2, seed=1))
-
-
-def test_a_process_shares_one_simulation_per_engine_size_and_rope() -> None:
-    one, other = simulation_of(2, RopeConfig()), simulation_of(2, RopeConfig(max_force=0.1))
-    assert one is simulation_of(2, RopeConfig()) and one is not other
-    assert other.rope.config.max_force == 0.1 and simulation_of(3, RopeConfig()).count == 3
-    assert simulation_of(2, RopeConfig(), "chain").engine == "chain"
 
 
 @pytest.mark.thorough
