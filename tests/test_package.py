@@ -8,8 +8,6 @@ import os
 import pickle
 import re
 import shutil
-import subprocess
-import sys
 import tomllib
 import zipfile
 from pathlib import Path
@@ -19,7 +17,7 @@ import pytest
 import knotgym
 from knotgym.common import KnotgymError
 
-from .fresh_interpreter import modules_after
+from .fresh_interpreter import modules_after, python
 
 ROOT = Path(__file__).parents[1]
 # a renderer's modules; some of it is imported by mujoco itself
@@ -56,9 +54,7 @@ def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> N
         " assert knotgym.__file__.startswith(os.environ['PYTHONPATH']), knotgym.__file__;"
         " label(knotgym.Rope().loop()); print(os.environ['NUMBA_CACHE_DIR'])"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", lines], env=environment, cwd=tmp_path, capture_output=True, text=True
-    )
+    ended = python("-c", lines, env=environment, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert str(temporary) in ended.stdout and not any(temporary.iterdir())
 
@@ -108,11 +104,7 @@ def test_the_wheel_installs_elsewhere_and_loads_its_assets(tmp_path: Path) -> No
     )
     for link in ("datasets", "generate", "loaders"):
         shutil.rmtree(source / link)
-    subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", tmp_path, source],
-        check=True,
-        capture_output=True,
-    )
+    python("-m", "pip", "wheel", "--no-deps", "--wheel-dir", tmp_path, source, check=True)
     (wheel,) = tmp_path.glob("knotgym-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
@@ -125,12 +117,5 @@ def test_the_wheel_installs_elsewhere_and_loads_its_assets(tmp_path: Path) -> No
         " print(knotgym.__file__)"
     )
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    run = python("-c", code, cwd=tmp_path, env=environment, check=True)
     assert Path(run.stdout.strip()) == tmp_path / "site" / "knotgym" / "__init__.py"

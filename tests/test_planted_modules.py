@@ -1,12 +1,11 @@
 """A command that is typed in somebody else's folder runs no code that lies there."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from .fresh_interpreter import python
 from .small_job import SECONDS
 
 PLANTED = (
@@ -67,14 +66,9 @@ def planted(tmp_path: Path, states_path: str) -> Path:
 )
 def test_no_command_imports_from_the_current_folder(typed: str, planted: Path) -> None:
     environment = {name: text for name, text in os.environ.items() if name != "PYTHONSAFEPATH"}
-    ended = subprocess.run(
-        [sys.executable, planted.parent / "bin" / "knotgym", *typed.split()],
-        cwd=planted,
-        env={**environment, "HOME": str(planted.parent)},
-        capture_output=True,
-        text=True,
-        timeout=SECONDS,
-    )
+    environment["HOME"] = str(planted.parent)
+    words = planted.parent / "bin" / "knotgym", *typed.split()
+    ended = python(*words, cwd=planted, env=environment, timeout=SECONDS)
     # the test's state file lacks columns, which is what `verify` says by its status
     assert ended.returncode == (1 if "verify" in typed else 0), ended.stderr
     mark = planted.parent / "mark"

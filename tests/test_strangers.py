@@ -4,8 +4,6 @@ Each test failed before the fault that it tells of was mended.
 """
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ import knotgym
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.states import read_states, write_states
 
+from .fresh_interpreter import python
 from .small_job import knotgym as typed
 
 ID = "knotgym/tie-nx2/expert-v0"
@@ -173,9 +172,7 @@ def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) ->
     for text in ("{: no yaml", "disable_jit: 1\n"):
         (tmp_path / ".numba_config.yaml").write_text(text)
         script = "import knotgym, numba; print(numba.config.DISABLE_JIT); import yaml"
-        ended = subprocess.run(
-            [sys.executable, "-P", "-c", script], cwd=tmp_path, capture_output=True, text=True
-        )
+        ended = python("-P", "-c", script, cwd=tmp_path)
         assert (ended.stdout, ended.stderr) == ("0\n", "")
 
 

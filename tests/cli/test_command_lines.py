@@ -3,8 +3,6 @@
 import json
 import os
 import re
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from importlib import import_module
@@ -20,6 +18,7 @@ from knotgym.cli.program import COMMANDS, _module_of, application
 from knotgym.common import InvalidInput, choices
 from knotgym.states import shipped
 
+from ..fresh_interpreter import python
 from ..small_job import knotgym
 
 MOST_OPTIONS = {"collect": 22, "evaluate": 22, "generate": 22, "prompt": 15}
@@ -297,8 +296,7 @@ for words in ([], *([name] for name in COMMANDS), ["dataset", "page"]):
     application()([*words, "--help"], result_action="return_value")
 print(*sys.modules, file=sys.stderr)
 """
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    modules = set(run.stderr.split())
+    modules = set(python("-c", code, check=True).stderr.split())
     heavy = {"cv2", "dask", "h5py", "minari", "mujoco", "numba", "pyarrow", "torch"}
     assert "knotgym.cli.prompt_command" in modules and modules & heavy == set()
 

@@ -1,7 +1,6 @@
 """How a command ends: one line on standard error and its status, whatever happens."""
 
 import importlib.util
-import subprocess
 import sys
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -13,6 +12,7 @@ from pytest_types import Capture, Patch
 from knotgym.cli import program as cli
 from knotgym.common import Failed, InvalidFile, MissingExtra
 
+from ..fresh_interpreter import python
 from ..small_job import knotgym
 
 ROOT = Path(__file__).parents[2]
@@ -91,8 +91,6 @@ def test_the_alias_of_generate_is_generate(monkeypatch: Patch, capfd: Capture) -
 @pytest.mark.skipif(not (ROOT / "datasets").is_symlink(), reason="a checkout without links")
 @pytest.mark.parametrize("name", ["datasets", "generate", "loaders"])
 def test_a_link_is_not_imported_by_its_bare_name(name: str) -> None:
-    run = subprocess.run(
-        [sys.executable, "-c", f"import {name}"], cwd=ROOT, capture_output=True, text=True
-    )
+    run = python("-c", f"import {name}", cwd=ROOT)
     assert run.returncode == 1
     assert f"import knotgym.{name}" in run.stderr.splitlines()[-1]

@@ -6,8 +6,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -26,6 +24,8 @@ from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located
 from knotgym.datasets.subsets import merge
 from knotgym.states import read_states
+
+from ..fresh_interpreter import python
 
 EXPERT = str(TINY["expert"])
 ID = "knotgym/tie-nx2/tiny-v0"
@@ -54,13 +54,7 @@ def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> P
 def output_of(script: str, folder: Path, **variables: str) -> str:
     """Run a script that doesn't import knotgym in a folder; return what it prints."""
     known = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    run = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=folder,
-        env={**known, **variables},
-        capture_output=True,
-        text=True,
-    )
+    run = python("-c", script, cwd=folder, env={**known, **variables})
     assert run.returncode == 0, run.stderr
     return run.stdout
 

@@ -1,10 +1,11 @@
 """A column added to a schema reaches every place that steps pass, or is refused by name."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from ..fresh_interpreter import python
 
 ADDED = """
 import sys
@@ -70,9 +71,7 @@ assert (found == columns_of("both.h5").episodes.steps["height"]).all()
 
 def script(how: str, then: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a script in a fresh process, whose schema has one more column."""
-    text = ADDED.replace("{how}", how) + then
-    command = [sys.executable, "-c", text]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    return python("-c", ADDED.replace("{how}", how) + then, cwd=folder)
 
 
 def test_a_new_column_of_states_goes_everywhere(tmp_path: Path) -> None:

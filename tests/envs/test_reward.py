@@ -14,6 +14,7 @@ from knotgym.envs.reward import Situation
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions
 
+Outcome = tuple[float, bool, bool]  # reward, terminated, truncated
 RULE = {"horizon": 9, "success_reward": 3.0, "failure_reward": -1.0}
 TASK, ENDLESS = (TaskConfig(task="tie", endless=endless, **RULE) for endless in (False, True))  # type: ignore[arg-type]
 
@@ -33,12 +34,7 @@ TASK, ENDLESS = (TaskConfig(task="tie", endless=endless, **RULE) for endless in 
     ],
 )
 def test_the_rule(
-    reached: bool,
-    step: int,
-    failed: bool,
-    towed: bool,
-    right: tuple[float, bool, bool],
-    endless: tuple[float, bool, bool],
+    reached: bool, step: int, failed: bool, towed: bool, right: Outcome, endless: Outcome
 ) -> None:
     code = np.zeros((1, 2), np.int16)
     held, *given = (np.array([value]) for value in (2 * reached, step, failed, towed))

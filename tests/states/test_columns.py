@@ -1,8 +1,8 @@
 """A column that is declared in the schema is in every file, card, page, selection and check."""
 
-import subprocess
-import sys
 from pathlib import Path
+
+from ..fresh_interpreter import python
 
 # what a stranger adds to the schema: one line; the rest is what every user does with states
 SCRIPT = """
@@ -56,8 +56,6 @@ assert knotgym("dataset", "verify", "wrong.h5") == 1
 
 
 def test_a_derived_column_is_one_line(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = python("-c", SCRIPT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "row 0: height is" in done.stdout + done.stderr

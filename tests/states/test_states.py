@@ -2,8 +2,6 @@
 
 import os
 import pickle
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -18,6 +16,8 @@ from knotgym.states.schema import ATTRIBUTES, STATES
 from knotgym.states.sources import SETS, shipped
 from knotgym.states.state_file import DIGEST, States, merge_states, read_states, write_states
 from knotgym.topology import GaussCode, Symmetry, canonical
+
+from ..fresh_interpreter import python
 
 
 def test_states_come_back_as_written(states: States, states_path: str) -> None:
@@ -98,10 +98,10 @@ def test_vertices_are_laid_the_same_on_processors_with_other_instructions() -> N
     )
     narrow = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR"}  # AVX2 is left
     told = [
-        subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, check=True)
+        python("-c", script, env=env, check=True).stdout
         for env in (dict(os.environ), os.environ | narrow)
     ]
-    assert told[0].stdout == told[1].stdout != b""
+    assert told[0] == told[1] != ""
 
 
 @pytest.mark.parametrize("name", SETS)
