@@ -105,10 +105,12 @@ class _Job:
 
 @dataclass(eq=False)
 class _Lane:
-    """A rope's trial, with the code last seen and, if it is watched, the pulls taken."""
+    """A rope's trial, with the code last seen, how many pulls it took, and, if watched, which."""
 
     trial: Trial
     code: GaussCode
+    pulls: int = 0
+    lost: bool = False
     beads: list[int] = field(default_factory=list)
     forces: list[NDArray[np.float32]] = field(default_factory=list)
 
@@ -124,10 +126,7 @@ class BatchedSearch:
         """Make `count` ropes to search in."""
         self.ropes = ChainSimulation(count, rope)
         self._follower = WaypointFollower(count)
-        self._lanes: dict[int, _Lane] = {}
-        self._pulls, self._limit = np.zeros((2, count), np.int64)
-        self._going, self._lost, self._hauled = np.zeros((3, count), bool)
-        self._origin, self._reach = np.zeros((count, 3)), np.full(count, np.inf)  # of the bounds
+        self._lanes, self._going = dict[int, _Lane](), set[int]()  # by rope; ropes under way
         self._free, self._jobs = [*range(count)], dict[int, _Job]()  # jobs by their ropes
         self._waiting = deque[tuple[Any, int, Search[Any]]]()
 
@@ -168,9 +167,8 @@ class BatchedSearch:
             self._jobs |= dict.fromkeys(job.ropes, job)
             new.append((job, None))
         ended = self._go_on(new)
-        ids = np.flatnonzero(self._going)
-        if len(ids):
-            news = self._pull(ids)
+        if self._going:
+            news = self._pull(np.array(sorted(self._going)))
             jobs = [*dict.fromkeys(self._jobs.values())]
             for job in jobs:
                 job.pulls += 1
@@ -207,7 +205,7 @@ class BatchedSearch:
         return ended
 
     def _leave(self, job: _Job) -> None:
-        self._going[job.ropes] = False
+        self._going.difference_update(job.ropes)
         self._free += job.ropes
         for rope in job.ropes:
             del self._jobs[rope]
@@ -227,58 +225,53 @@ class BatchedSearch:
             if isinstance(trial.move, MacroAction):
                 follower.begin(np.array([rope]), [trial.move])
             self._lanes[rope] = _Lane(trial, code)
-            self._hauled[rope] = isinstance(trial.move, Haul)
-            bound = trial.bound
-            self._reach[rope] = np.inf if bound is None else bound.limit
-            self._origin[rope] = 0.0 if bound is None else bound.origin
-        self._pulls[ids], self._limit[ids] = 0, [trial.pulls for trial in trials]
-        self._lost[ids] = False
-        # a bead may be at all of its waypoints already
-        follower.release(ids[self._hauled[ids]])
-        over = follower.arrive(ropes.points, ids) | (self._limit[ids] < 1)
-        # a watched trial ends by a pull at the earliest, as its report holds the pulls
-        over &= [not trial.watch for trial in trials]
-        self._going[ids] = ~over
-        return ids[over].tolist()
+        follower.release(ids[[isinstance(trial.move, Haul) for trial in trials]])
+        # A bead may be at all of its waypoints already. A watched trial ends by a pull at the
+        # earliest, as its report holds the pulls.
+        arrived = zip(ids.tolist(), trials, follower.arrive(ropes.points, ids), strict=True)
+        over = [rope for rope, one, at in arrived if (at or one.pulls < 1) and not one.watch]
+        self._going |= {*ids.tolist()} - {*over}
+        return over
 
     def _pull(self, ids: Ids) -> list[int]:
         """Pull all ropes that are under way; return those with news."""
         ropes, follower = self.ropes, self._follower
         beads, forces = follower.beads[ids], follower.forces(ropes.points, ids)
-        hauled = self._hauled[ids]
-        for row in np.flatnonzero(hauled).tolist():
+        lanes = [self._lanes[rope] for rope in ids.tolist()]
+        for row, lane in enumerate(lanes):
             # hauls pull two beads in turn, so no waypoint leads them
-            haul: Any = self._lanes[int(ids[row])].trial.move
-            beads[row], forces[row] = haul.pull(int(self._pulls[ids[row]]))
-        stable = ropes.step(beads, forces.astype(np.float64) * ropes.max_force, ids)
-        self._pulls[ids] += 1
-        points = ropes.points[ids]
-        self._lost[ids] = ~stable
-        # most tasks have no limit on towing, and centres of all ropes would be computed for nothing
-        if np.isfinite(self._reach[ids]).any():
-            self._lost[ids] |= TowBound(self._origin[ids], self._reach[ids]).exceeded(points)
-        over = (follower.arrive(ropes.points, ids) & ~hauled) | self._lost[ids]
-        over |= self._pulls[ids] >= self._limit[ids]
-        news = over.copy()
+            if isinstance(lane.trial.move, Haul):
+                beads[row], forces[row] = lane.trial.move.pull(lane.pulls)
+        stable = ropes.step(beads, forces.astype(np.float64) * ropes.max_force, ids).tolist()
+        arrived, points = follower.arrive(ropes.points, ids).tolist(), ropes.points[ids]
+        news = list[int]()
         for row, (rope, code) in enumerate(zip(ids.tolist(), label_many(points), strict=True)):
-            lane = self._lanes[rope]
-            if lane.trial.watch:
+            lane, trial = lanes[row], lanes[row].trial
+            lane.pulls += 1
+            lane.lost = not stable[row]
+            if trial.bound is not None:
+                lane.lost |= bool(trial.bound.exceeded(points[[row]])[0])
+            over = lane.lost or lane.pulls >= trial.pulls
+            over |= arrived[row] and not isinstance(trial.move, Haul)
+            if trial.watch:
                 lane.beads.append(int(beads[row]))
                 lane.forces.append(forces[row])
-                news[row] |= code != lane.code
-            # Not watched: only where the goal is shown does anybody want to know before the end.
-            elif code.visits == lane.trial.goal.visits:
-                over[row] = news[row] = True
+            else:
+                # only where the goal is shown does anybody want to know before the end
+                over |= code.visits == trial.goal.visits
+            if over or (trial.watch and code != lane.code):
+                news.append(rope)
+            if over:
+                self._going.remove(rope)
             lane.code = code
-        self._going[ids[over]] = False
-        return ids[news].tolist()
+        return news
 
     def _reports(self, news: list[int], due: list[int]) -> list[tuple[_Job, Reports | None]]:
         """Reports on ropes with news, by their searches; empty ones for searches that are due."""
         ropes, found = self.ropes, dict[int, Report]()
         for rope, state in zip(news, ropes.states(news) if news else (), strict=True):
             lane, points = self._lanes[rope], ropes.points[rope].copy()
-            facts = int(self._pulls[rope]), not self._going[rope], bool(self._lost[rope])
+            facts = lane.pulls, rope not in self._going, lane.lost
             forces = np.array(lane.forces, np.float32).reshape(-1, 3)
             beads = np.array(lane.beads, np.int64)
             found[rope] = Report(state, points, lane.code, *facts, beads, forces)
