@@ -116,11 +116,12 @@ class Symmetries(Symmetry):
             out[own] = np.rot90(mirrored[own], quarters, axes=(1, 3))
         return out.reshape(seen.shape)
 
-    def applied(self, batch: Mapping[str, Any]) -> dict[str, Any]:
+    def applied(self, batch: Mapping[str, Any], beads: int = 100) -> dict[str, Any]:
         """Return one image of each of the n samples of a batch, but for those that are dropped.
 
         Args:
             batch: what `arrays` or `Transitions.batch` returns, of any view of the actions.
+            beads: of a rope, for actions that number them beside codes or pictures; vertices tell.
 
         Returns:
             The same arrays; without the samples in which a force would leave [-1, 1].
@@ -132,11 +133,14 @@ class Symmetries(Symmetry):
         made, kept = dict[str, Any](), np.ones(len(self.turn), dtype=bool)
         if missing := [name for name in ("observations", "actions") if name not in batch]:
             raise InvalidInput(f"a batch to transform has {', '.join(missing)}; this one hasn't")
+        seen = batch["observations"]
+        state = np.asarray(seen["state"] if isinstance(seen, dict) else seen)
+        beads = state.shape[-1] // 6 if state.dtype.kind == "f" else beads
         for name, values in batch.items():
             if name in _OBSERVATIONS:
                 made[name] = Observer.map_parts(values, self._observations)
             elif name in _ACTIONS:
-                made[name] = self._actions(np.asarray(values))
+                made[name] = self._actions(np.asarray(values), beads)
                 if made[name].dtype.kind == "f":
                     forces = np.abs(made[name][..., 3:])
                     kept &= (forces <= 1 + 1e-6).all(axis=tuple(range(1, forces.ndim)))
@@ -170,7 +174,7 @@ class Symmetries(Symmetry):
         ropes = values.reshape(*values.shape[:-1], 2, values.shape[-1] // 6, 3)
         return self.vertices(ropes).reshape(values.shape)
 
-    def _actions(self, actions: Array) -> Array:
+    def _actions(self, actions: Array, beads: int) -> Array:
         """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""
         if actions.dtype.kind == "f":
             if actions.shape[-1] != 6:
@@ -180,7 +184,7 @@ class Symmetries(Symmetry):
             return moved.reshape(actions.shape)
         made = actions.copy()
         if actions.shape[-1] == 3:
-            made[..., :2] = self.beads(actions[..., :2])
+            made[..., :2] = self.beads(actions[..., :2], beads)
             flips = self.switch.reshape(-1, *(1 for _ in actions.shape[1:-1]))
             made[..., 2] = np.where(flips, 1 - actions[..., 2], actions[..., 2])
             return made
@@ -189,14 +193,14 @@ class Symmetries(Symmetry):
                 "actions of the view bead have images under quarter turns alone; draw the"
                 " symmetries with of_pictures=True"
             )
-        made[..., 0] = self.beads(actions[..., 0])
+        made[..., 0] = self.beads(actions[..., 0], beads)
         forces = self.vectors(ActionView.chosen_forces(actions[..., 1:]))
         made[..., 1:] = ActionView.force_choices(forces)
         return made
 
 
 def multiplied(
-    batch: Mapping[str, Any], times: int, rng: np.random.Generator, **kinds: bool
+    batch: Mapping[str, Any], times: int, rng: np.random.Generator, beads: int = 100, **kinds: bool
 ) -> dict[str, Any]:
     """Return `times` random images of every sample of a batch, one copy after the other.
 
@@ -204,12 +208,13 @@ def multiplied(
         batch: what `arrays` returns.
         times: images of each sample, at least 1; those whose force leaves [-1, 1] are dropped.
         rng: generator of the draws.
+        beads: as of `Symmetries.applied`.
         kinds: as of `Symmetries.drawn`.
     """
     if times < 1:
         raise InvalidInput(f"a set is multiplied at least once, got {times}")
     count = len(np.asarray(batch["actions"])) if "actions" in batch else 0
-    copies = [Symmetries.drawn(count, rng, **kinds).applied(batch) for _ in range(times)]
+    copies = [Symmetries.drawn(count, rng, **kinds).applied(batch, beads) for _ in range(times)]
     return {name: _joined([copy[name] for copy in copies]) for name in copies[0]}
 
 

@@ -71,7 +71,7 @@ class Symmetry(_Motion):
         old = np.where(_wide(self.reverse, moved.ndim - 1), -index, index) % moved.shape[-2]
         return np.take_along_axis(moved, old.reshape(*old.shape, 1), axis=-2)
 
-    def beads(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
+    def beads(self, beads: ArrayLike, count: int) -> NDArray[np.int64]:
         """Renumber beads, of `count` a rope; bead b lies between the vertices b and b + 1."""
         old = np.asarray(beads, dtype=np.int64)
         # Bead b lies between vertices b and b + 1, which a reversed walk calls -b and -b - 1: so it

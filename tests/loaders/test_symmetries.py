@@ -53,7 +53,7 @@ def test_an_image_of_a_step_is_the_step_of_the_image(engine: str, exact: float) 
     ends = []
     for start, bead, pull in (
         (qpos, beads, force),
-        (images, drawn.beads(beads), drawn.vectors(force)),
+        (images, drawn.beads(beads, 100), drawn.vectors(force)),
     ):
         ropes = simulation_of(engine, COUNT, rope)
         ropes.set_qpos(start)
@@ -89,6 +89,17 @@ def test_symmetries_of_a_batch_change_state_goal_and_action_alike(view: str) -> 
     apart = [np.linalg.norm(np.diff(one, axis=2), axis=3).sum() for one in (before, after)]
     if len(before) == len(after):
         assert apart[0] == pytest.approx(apart[1], rel=1e-2)
+
+
+def test_beads_are_numbered_backwards_on_a_rope_of_any_length() -> None:
+    flags = np.zeros(2, dtype=bool)
+    walked = Symmetries(np.zeros(2), flags, flags, ~flags)
+    own = {"actions": np.array([[0, 30, 1], [59, 7, 0]])}
+    codes = {**own, "observations": np.zeros((2, 2, 64), np.int16)}
+    states = {**own, "observations": np.zeros((2, 6 * 60), np.float32)}
+    for made in (walked.applied(states), walked.applied(codes, beads=60)):
+        np.testing.assert_array_equal(made["actions"], [[59, 29, 1], [0, 52, 0]])
+    assert walked.applied(codes)["actions"][0, 0] == 99
 
 
 def test_pictures_turn_with_the_rope(rope: Rope) -> None:
