@@ -52,6 +52,12 @@ def many(**settings: Any) -> Any:
     return KnotVectorEnv("tie", 3, **settings)
 
 
+def many_started() -> Any:
+    envs = many(observation="state", engine="chain")
+    envs.reset(seed=0)
+    return envs
+
+
 def started(**settings: Any) -> Any:
     env = make(observation="state", engine="chain", **settings)
     env.reset(seed=0)
@@ -108,6 +114,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: started().reset(options={"begin": 3}), "no reset option 'begin'; use start or goal"),
     (lambda: started().step(np.full(6, 2.0)), "(x, y, z, fx, fy, fz), got [2.0"),
     (lambda: started().step([0, 0, 0]), "an action is 6 numbers in [-1, 1] (x, y, z"),
+    (lambda: many_started().step(np.zeros((2, 6))), "must have shape (3, 6), got (2, 6)"),
     (lambda: started(action="bead").step([100, 0, 0, 0]), "whole numbers below"),
     (lambda: started(action="bead").step([0.5, 0, 0, 0]), "whole numbers below"),
     (lambda: started(action="macro").step([0, -1, 0]), "whole numbers below"),

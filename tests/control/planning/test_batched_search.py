@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning.batched_search import BatchedSearch, Orders, Report, Search, Trial
-from knotgym.rope import Pass
+from knotgym.rope import Haul, Pass
 from knotgym.topology import GaussCode
 
 KINK = GaussCode.parse("1+c,1-c")
@@ -51,3 +51,10 @@ def test_a_watched_trial_reports_every_change_and_its_pulls(ropes: BatchedSearch
     for bead, force in zip(last.beads, last.forces.astype(np.float64), strict=True):
         ropes.ropes.step([bead], force[None] * ropes.ropes.max_force, [0])
     assert np.array_equal(ropes.ropes.states([0])[0], last.state)
+
+
+def test_a_haul_pulls_two_beads_in_turn(ropes: BatchedSearch) -> None:
+    haul = Haul.drawn(100, np.random.default_rng(1))
+    trial = Trial(START[0], haul, haul.steps, KINK, watch=True)
+    ((_, reports),) = ropes.run([one_trial(trial)])
+    assert reports[-1].beads.tolist() == [haul.pull(step)[0] for step in range(haul.steps)]

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
 from knotgym.control.planning.passes import ActOut, PassPlan, PassSearch, PassValues
+from knotgym.control.planning.pulls import _guide_to
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass
@@ -15,6 +16,7 @@ FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
 LOOP, KINKED = Diagram(FLAT, (0,)), Diagram(KINK, (1, 2))
 GOAL = GaussCode.parse("1+c,1-c,2+a,2-a")
 KINKED_TWICE = GaussCode.parse("1+,1-,2+,2-")
+NOTHING = PassValues(Moves())
 THREE = GaussCode.parse("1+c,1-c,2+a,2-a,3+c,3-c")
 ANGLES = np.linspace(0, 2 * np.pi, 40, endpoint=False)
 SELDOM, OFTEN = PassTemplate(AT, 20, 80, 1), PassTemplate(AT, 40, 80, 1)
@@ -149,3 +151,13 @@ def test_a_kink_inside_the_loop_is_told_from_one_outside() -> None:
     one, other = diagram_of(inside), diagram_of(eight)
     assert one.nx == other.nx == 1
     assert len(one.outer) == 1 and len(other.outer) == 2
+
+
+def test_codes_on_the_way_to_the_goal_are_nearer_or_those_with_as_many_crossings() -> None:
+    guide, blind = (_guide_to(KINKED_TWICE, own) for own in (PassValues.of_split(), NOTHING))
+    codes = GaussCode(KINKED_TWICE.visits, "ca"), KINK, FLAT
+    far, hops = [guide.distance(code) for code in codes], [guide.hops(code, 9) for code in codes]
+    assert far[0] == 0 and far == sorted(far) and len({*far}) == 3 and hops[0] == 0 < hops[1] < 3
+    assert 0 < guide.distance(THREE) < guide.distance(FLAT)
+    assert blind.distance(KINK) == blind.distance(THREE) < blind.distance(FLAT)
+    assert [blind.hops(code, 9) for code in codes] == [0, 9, 9]
