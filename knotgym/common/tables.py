@@ -231,9 +231,9 @@ class Table(Mapping[str, NDArray[Any]]):
         Raises:
             InvalidInput: there is no table, or their schemas or sizes differ.
         """
-        schema = _shared_schema(tables)
-        columns = {c.name: [_fitted(schema, c, table) for table in tables] for c in schema.columns}
-        return cls(schema, {name: np.concatenate(parts) for name, parts in columns.items()})
+        parts = _alike(tables)
+        columns = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+        return cls(parts[0].schema, columns)
 
     def filled(self, schema: Schema) -> "Table":
         """Add the optional columns of a schema that are lacking, so that the two can be appended.
@@ -346,10 +346,11 @@ def _fixed(text: str) -> NDArray[Any]:
 
 
 def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
-    schema, rows = _shared_schema(parts), sum(part.rows for part in parts)
+    parts = _alike(parts)
+    schema, rows = parts[0].schema, sum(part.rows for part in parts)
     group = file.require_group(schema.name) if schema.name else file
     for c in schema.columns:
-        values = [_fitted(schema, c, part) for part in parts]
+        values = [part[c.name] for part in parts]
         for one in values:
             c._require_values(one)
         dtype: Any = c.dtype
@@ -479,10 +480,11 @@ def require_stored(data: h5py.Dataset, name: str) -> None:
         raise InvalidInput(f"column {name} declares {size} bytes and stores {stored}")
 
 
-def _shared_schema(tables: Sequence[Table]) -> Schema:
-    """Return the schema that tables share: all required columns, and the optional ones of all.
+def _alike(tables: Sequence[Table]) -> list[Table]:
+    """Return tables with the columns that all have, padded ones as wide as the widest.
 
-    Sizes are those of every table; padded columns have the largest.
+    Raises:
+        InvalidInput: there is no table, a required column is missing, or types or sizes differ.
     """
     if not tables:
         raise InvalidInput("no table to append")
@@ -490,24 +492,15 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
     required = {c.name for table in tables for c in table.schema.columns if not c.optional}
     if lacking := sorted(required - {*names}):
         raise InvalidInput(f"column {', '.join(lacking)} is missing in some tables to append")
-    schemas = [table.schema.only(*names) for table in tables]
-    padded = {c.shape[0] for c in schemas[0].columns if c.padded}
-    sizes = [dict(schema.sizes) for schema in schemas]
-    most = {word: max(own[word] for own in sizes) for word in sizes[0] if word in padded}
-    first, *others = (schema.sized(**most) for schema in schemas)
-    for other in others:
-        for one, found in zip(first.columns, other.columns, strict=True):
-            kinds = [f"{c.dtype} {own._shape(c)}" for c, own in ((one, first), (found, other))]
-            if kinds[0] != kinds[1]:
-                said = " in one and ".join(kinds)
-                raise InvalidInput(f"tables to append differ: {one.name} is {said} in another")
-    return first
-
-
-def _fitted(schema: Schema, column: Column, table: Table) -> NDArray[Any]:
-    """Return a table's column, padded to the length that the schema has."""
-    values = table[column.name]
-    return padded(values, schema._shape(column)[0], 1) if column.padded else values
+    schema = tables[0].schema.only(*names)
+    words = {c.name: str(c.shape[0]) for c in schema.columns if c.padded}
+    most = {name: max(table[name].shape[1] for table in tables) for name in words}
+    schema = schema.sized(**{words[name]: width for name, width in most.items()})
+    with InvalidInput.instead("tables to append differ", InvalidInput):
+        return [
+            Table(schema, {**table, **{name: padded(table[name], most[name], 1) for name in most}})
+            for table in tables
+        ]
 
 
 def padded(values: NDArray[Any], width: int, axis: int = -1) -> NDArray[Any]:

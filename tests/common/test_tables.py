@@ -69,7 +69,7 @@ def test_parts_are_appended(tmp_path: Path, path: Path, rows: int) -> None:
     write_tables(tmp_path / "all.h5", [parts], {}, format="ours", pack=True)
     whole = Table.digest(Table.joined([table(rows), table()]))
     assert Table.digest(read_back(tmp_path / "all.h5")) == Table.digest(*parts) == whole
-    with pytest.raises(InvalidInput, match=r"points is float64 \(4, 3\) in one and float64 \(5,"):
+    with pytest.raises(InvalidInput, match="tables to append differ: column points is float64"):
         Table.joined([table(beads=4), table(beads=5)])
 
 

@@ -166,8 +166,6 @@ class PullPlayer(Player):
 
     def look(self, ids: Ids) -> None:
         """Begin searches where a plan is over and budget is left."""
-        from knotgym.control.planning.pulls import PullSearch  # here, as the expert needs none
-
         batch, config = self._batch, self._config
         for index in ids[~self._searches.thinking[ids]].tolist():
             used_up = self._spent[index] + config.batch_size > config.budget
@@ -176,6 +174,9 @@ class PullPlayer(Player):
                 continue
             self._plans.pop(index, None)
             (goal,) = batch.goals_of(np.array([index]))
+            # imported here, as the expert seldom needs it
+            from knotgym.control.planning.pulls import PullSearch
+
             # the budget left is that of the episode, whatever its earlier plans spent
             own = self._rngs[index], int(batch.hold[index]), batch.tow_bound(index)
             search = PullSearch(goal, self._values, config, *own)
