@@ -106,13 +106,10 @@ def family_of(name: str) -> PolicyFamily:
 def _entry_point_families() -> tuple[PolicyFamily, ...]:
     families = []
     for one in sorted(entry_points(group=GROUP), key=lambda one: one.value):
-        try:
+        said = f"the policies of entry point {one.name} = {one.value} can't be loaded"
+        # another package's import may raise anything
+        with InvalidPolicy.instead(said, Exception, SystemExit):
             families.append(one.load())
-        except (Exception, SystemExit) as error:  # another package's import may raise anything
-            raise InvalidPolicy(
-                f"the policies of entry point {one.name} = {one.value} can't be loaded:"
-                f" {one_line(error)}"
-            ) from error
     return tuple(families)
 
 

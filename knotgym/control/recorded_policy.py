@@ -110,10 +110,8 @@ class _RecordedPlayer(Player):
 
 def load(config: PolicyConfig) -> SimplePolicy:
     name = config.policy
-    try:
+    with InvalidPolicy.instead(f"policy {name}", KnotgymError):
         episodes = open_episodes(name.removeprefix(_PREFIX)).episodes
-    except KnotgymError as error:
-        raise InvalidPolicy(str(error)) from error
     return SimplePolicy(name, partial(_RecordedPlayer, episodes, name))
 
 

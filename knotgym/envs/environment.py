@@ -145,13 +145,10 @@ class _Window:
             # A window that SDL fills by OpenGL holds this thread's context: beside it MuJoCo's
             # renderer could make none by EGL, and would crash by OSMesa.
             os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
-            try:
+            needed = "render_mode 'human' needs a display; use 'rgb_array' without one"
+            with Failed.instead(needed, pygame.error):
                 pygame.display.init()
                 self._screen = pygame.display.set_mode(frame.shape[1::-1])
-            except pygame.error as error:
-                raise Failed(
-                    f"render_mode 'human' needs a display ({error}); use 'rgb_array' without one"
-                ) from error
             pygame.display.set_caption("knotgym")
             self._clock = pygame.time.Clock()
         self._screen.blit(pygame.surfarray.make_surface(frame.swapaxes(0, 1)), (0, 0))

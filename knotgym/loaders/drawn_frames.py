@@ -253,7 +253,8 @@ class DrawnFrames:
         self._path, self._unread = path, np.ones(self._count, dtype=np.bool_)
         require_own(folder, InvalidFile)
         require_own(path, InvalidFile)
-        try:
+        said = f"pictures can't be kept at {path}; delete it"
+        with InvalidFile.instead(said, OSError, ValueError):
             if not path.is_file():
                 folder.mkdir(parents=True, exist_ok=True)
                 with atomic_write(path) as part:
@@ -264,8 +265,6 @@ class DrawnFrames:
                             file[row] = picture, zlib.crc32(picture)
                     file.flush()
             found = open_memmap(path, "r")
-        except (OSError, ValueError) as error:
-            raise InvalidFile(f"pictures can't be kept at {path}: {error}; delete it") from error
         if found.shape != (self._count,) or found.dtype != kind:
             raise InvalidFile(f"{path} holds other pictures than its name says: delete it")
         return np.asarray(found)  # a plain array slices faster than np.memmap

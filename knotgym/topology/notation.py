@@ -216,10 +216,8 @@ def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
             # brackets that are closed too often open nothing in the next line
             opened = max(0, opened + text.count("[") - text.count("]"))
         if held and (not opened or line is None or len(held) > MOST_CROSSINGS + 2):
-            try:
+            with InvalidInput.instead(f"line {first}", InvalidInput):
                 yield _parse_code("\n".join(held))
-            except InvalidInput as error:
-                raise InvalidInput(f"line {first}: {error}") from None
             held, opened = [], 0
 
 
