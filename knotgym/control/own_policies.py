@@ -28,6 +28,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -138,11 +139,9 @@ def load(config: PolicyConfig) -> Policy:
             module fails.
     """
     name = config.policy
-    module, _, attribute = name.partition(":")
     missing = InvalidPolicy.instead(f"no policy {name}", ImportError, AttributeError, SyntaxError)
-    # the current folder is searched, too, as by `python -m`
-    with user_code(name), missing, _current_folder(module.partition(".")[0]):
-        given = getattr(importlib.import_module(module), attribute)
+    with user_code(name), missing, _module_of(name) as module:
+        given = getattr(module, name.partition(":")[2])
     from knotgym.loaders import RowPolicy  # here, as few policies are models
 
     if isinstance(given, RowPolicy):
@@ -167,11 +166,9 @@ def files(name: str) -> dict[str, Path]:
     For a module in a package, the sources are those of the top package; other files that it imports
     aren't found.
     """
-    module = name.partition(":")[0]
-    top = module.partition(".")[0]
-    with user_code(name), _current_folder(top):
-        spec = importlib.util.find_spec(top)
-        read = [Path(file) for file in getattr(importlib.import_module(module), "FILES", ())]
+    with user_code(name), _module_of(name) as module:
+        spec = importlib.util.find_spec(module.__name__.partition(".")[0])
+        read = [Path(file) for file in getattr(module, "FILES", ())]
     found = {path.name: path for path in read}
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return found
@@ -189,9 +186,8 @@ def card_of(name: str) -> dict[str, Any] | None:
     Raises:
         InvalidPolicy: it isn't a dictionary of JSON's values, or importing the module fails.
     """
-    module = name.partition(":")[0]
-    with user_code(name), _current_folder(module.partition(".")[0]):
-        card = getattr(importlib.import_module(module), "CARD", None)
+    with user_code(name), _module_of(name) as module:
+        card = getattr(module, "CARD", None)
     said = f"policy {name}: its CARD isn't JSON"
     with InvalidPolicy.instead(said, RecursionError, TypeError, ValueError):
         found: Any = json.loads(json.dumps(card, allow_nan=False))
@@ -201,15 +197,19 @@ def card_of(name: str) -> dict[str, Any] | None:
 
 
 @contextmanager
-def _current_folder(package: str) -> Iterator[None]:
-    """Append the current folder to sys.path unless Python finds the package elsewhere."""
+def _module_of(name: str) -> Iterator[ModuleType]:
+    """Import the module of a policy module:name, from the current folder if it isn't installed.
+
+    That folder is on the path only while the module is in use here.
+    """
+    module = name.partition(":")[0]
+    package, searched = module.partition(".")[0], list(sys.path)
     if package in sys.modules or importlib.util.find_spec(package) is not None:
-        yield
+        yield importlib.import_module(module)
         return
-    searched = list(sys.path)
-    sys.path.append(os.getcwd())
+    sys.path.append(os.getcwd())  # searched, too, as by `python -m`
     try:
-        yield
+        yield importlib.import_module(module)
     finally:
         sys.path[:] = searched
 

@@ -318,9 +318,7 @@ class Transitions:
     def terminals(self) -> NDArray[np.bool_]:
         """bool (N,), true where an episode terminated."""
         if self._relabelled:
-            last = np.zeros(len(self), dtype=bool)
-            last[self.starts[1:] - 1] = True
-            return last
+            return np.isin(np.arange(len(self)), self.starts[1:] - 1)
         return self.dataset.episodes.steps["terminated"][self._after - 1]
 
     @cached_property

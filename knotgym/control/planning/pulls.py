@@ -41,6 +41,9 @@ _HAULED_NX = 3  # a hard rope is hauled only from states of at least this many c
 _HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
 _FAILURES = 2  # plans from one state that may lead no nearer to the goal, until it begins again
 # The next ten were set by hand when the planner was written, and no record says what others gave.
+# They decide what is tried first, so another value finds other plans, with more or fewer simulated
+# pulls, and recorded episodes of `planner` no longer repeat. None can make a plan wrong, as each is
+# acted out before it counts.
 _GREED = 4.0  # exponent of the preference for codes near the goal
 _STRIDE = 6.0  # pulls that a change of code is expected to take
 _LEAST_STRIDE = 2  # and takes at least: a state too late for that is dropped
