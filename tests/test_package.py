@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-import knotgym
 from knotgym.common import KnotgymError
 
 from .fresh_interpreter import modules_after, python
@@ -81,10 +80,6 @@ def test_every_marker_of_the_tests_runs_in_ci() -> None:
     for marker in markers["markers"]:
         name = marker.partition(":")[0]
         assert re.search(rf"^[^#\n]*pytest\S* .*-m {name}\b", steps, re.M), name
-
-
-def test_the_version_is_that_of_the_distribution() -> None:
-    assert knotgym.__version__ == importlib.metadata.version("knotgym")
 
 
 @pytest.mark.parametrize("error", ERRORS)

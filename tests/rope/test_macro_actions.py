@@ -5,15 +5,7 @@ import pytest
 from pytest_types import Patch
 
 from knotgym.rope.actions import quantized
-from knotgym.rope.macro_actions import (
-    KINDS,
-    LIFT,
-    RISE,
-    STRAIGHT_LIFT,
-    MacroAction,
-    Pass,
-    WaypointFollower,
-)
+from knotgym.rope.macro_actions import KINDS, LIFT, MacroAction, Pass, WaypointFollower
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 
@@ -72,17 +64,3 @@ def test_a_bead_is_led_to_its_last_waypoint(rope: Rope) -> None:
         pulls += 1
     assert np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < WaypointFollower.ARRIVED
     assert pulls < 15
-
-
-def test_passes_without_chance_lead_over_their_strands(rope: Rope) -> None:
-    points, ids = np.repeat(rope.loop()[None], 3, axis=0), np.array([0, 2])
-    follower = WaypointFollower(3)
-    follower.begin_passes(ids, [(10, 40, 1), (70, 20, -1)], points)
-    assert follower.idle.tolist() == [False, True, False]
-    ahead = rope.loop()[[40, 20]] - rope.loop()[[10, 70]]
-    forces = follower.forces(points, ids)
-    # straight at the strand, and up or down to the height at which it is passed
-    assert np.allclose(forces[:, 0] * ahead[:, 1], forces[:, 1] * ahead[:, 0], atol=0.01)
-    rise = np.array([1, -1]) * STRAIGHT_LIFT / RISE
-    level = (forces[:, :2] * ahead[:, :2]).sum(axis=1) / np.linalg.norm(ahead, axis=1)
-    assert np.allclose(forces[:, 2] / level, rise, rtol=0.05)

@@ -106,14 +106,6 @@ def test_qpos_bears_a_rope_folded_back_on_itself(rope: Rope) -> None:
     assert np.isfinite(rope.qpos(flat)).all()
 
 
-def test_gaps_are_measured_where_the_sub_chains_join(rope: Rope) -> None:
-    qpos = rope.qpos(rope.loop())
-    assert rope.points_and_gaps(qpos)[1] < 1e-12
-    last = rope.model.jnt_qposadr[rope.model.body_jntadr[1]]
-    qpos[last + 2] += 0.02  # lift the first sub-chain whole
-    assert rope.points_and_gaps(qpos)[1] == pytest.approx(0.02)
-
-
 def test_loop_is_the_reference_pose_a_flat_ring_of_equal_beads(rope: Rope) -> None:
     assert np.allclose(chords(rope.loop()), BEAD, atol=1e-15) and not rope.loop()[:, 2].any()
     assert np.abs(rope.points(rope.model.qpos0) - rope.loop()).max() < 1e-12

@@ -146,15 +146,6 @@ def test_simplifying_keeps_the_knot_and_adds_nothing(seed: int) -> None:
     assert alexander_polynomial(simpler) == alexander_polynomial(code)
 
 
-@given(seeds)
-@settings(max_examples=40)
-def test_the_mirror_image_has_the_mirrored_polynomials(seed: int) -> None:
-    code = label(np.random.default_rng(seed).normal(size=(12, 3)))
-    for image in (code.switched(), code.reflected()):
-        assert dict(jones_polynomial(image)) == {-k: value for k, value in jones_polynomial(code)}
-        assert alexander_polynomial(image) == alexander_polynomial(code)
-
-
 def test_the_polynomials_of_a_sum_are_products() -> None:
     granny = connected_sum([TREFOIL, TREFOIL])
     assert alexander_polynomial(granny) == (1, -2, 3, -2, 1)
