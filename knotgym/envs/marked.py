@@ -77,7 +77,7 @@ class CanonicalFrames(NamedTuple):
         mapped: Array = np.einsum(sums, self.axes, np.asarray(vectors, np.float64))
         return mapped
 
-    def renumber(self, beads: ArrayLike, count: int) -> NDArray[np.int64]:
+    def renumber(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
         """Map beads (n,), of `count` per rope, from the world into the frame, or back."""
         own = np.asarray(beads, dtype=np.int64)
         return np.where(self.reverse, count - 1 - own, own)

@@ -61,7 +61,7 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
     beads, sides = np.full(len(here.points), 12), np.ones(len(here.points), dtype=int)
     force = np.tile((0.3, -0.7, 0.5), (len(here.points), 1))
     ours, theirs = (
-        (frames.renumber(beads, 100), frames.sides(sides), frames.vectors(force, back=True))
+        (frames.renumber(beads), frames.sides(sides), frames.vectors(force, back=True))
         for frames in (here.frames, there.frames)
     )
     for row in rows:
