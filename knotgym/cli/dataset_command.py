@@ -62,7 +62,7 @@ def verify(given: Given, source: Source, /, *, sample: NonNegativeInt = 0) -> No
     Args:
         sample: Episodes to draw and play again, where all would take too long; 0 for all.
     """
-    from knotgym.cli.inspection import checked, faults
+    from knotgym.cli.inspection import faults
     from knotgym.runs import compile_first
 
     compile_first(given.progress)
@@ -72,7 +72,6 @@ def verify(given: Given, source: Source, /, *, sample: NonNegativeInt = 0) -> No
         found += 1
     if found:
         raise Failed(f"{source}: {found} faults")
-    given.progress.say(f"{source}: {checked(source, sample)}: no faults")
 
 
 @_command("run.overwrite")

@@ -7,8 +7,10 @@ one only when its arrays change on purpose: `knotgym doctor` prints the new one.
 
 import hashlib
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +19,7 @@ import numpy as np
 from knotgym.cli.options import Given, command
 from knotgym.common import Failed
 
-EXPECTED = {
-    "chain engine, 1 action": "0681b4d16ff4",
-    "chain engine, 9 actions": "95ab2fb2b6d5",
-    "chain engine, 60 actions": "018ba40a824e",
-    "MuJoCo, 1 action": "bd23c0f63690",
-    "MuJoCo, 30 actions": "694cff86df4b",
-    "Gauss codes": "56d42c1eca22",
-    "drawn curves": "4267ef71671e",
-    "generated states": "7774c1c134f8",
-    "picture": "0390255c8d21",
-    "photo": "0fda8e85acb9",
-    "expert's episode": "a8f548dab19c",
-    "marked observations": "c70c59786f3c",
-}
+EXPECTED = tomllib.loads((files("knotgym.cli") / "digests.toml").read_text("utf-8"))
 _DECISIVE = ("knotgym", "mujoco", "numpy", "numba", "opencv-python-headless")  # of bytes
 _ROPES, _FEW = 64, 8  # that move in the chain engine and in MuJoCo
 

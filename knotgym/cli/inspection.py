@@ -11,15 +11,7 @@ from rich.console import Console
 
 from knotgym.common import Failed, InvalidInput, atomic_write, require_output
 from knotgym.control import dataset_faults, replay
-from knotgym.datasets import (
-    expanded,
-    in_words,
-    locate,
-    open_episodes,
-    show_episodes,
-    summary,
-    try_files,
-)
+from knotgym.datasets import in_words, locate, open_episodes, show_episodes, summary, try_files
 from knotgym.generate import film as film_of
 from knotgym.generate import read_entry
 from knotgym.prompting import show_transcripts
@@ -61,7 +53,7 @@ def show(named: str, console: Console) -> None:
 
 
 def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
-    """Check the datasets that a path or an id names; yield their faults.
+    """Check the datasets that a path or an id names; yield their faults, or say what was checked.
 
     Raises:
         InvalidFile: the HDF5 library crashes on one of the files.
@@ -72,19 +64,15 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
     tables = [file for file in (root, *root.glob("**/*.parquet")) if file.is_file()]
     large = sum(file.stat().st_size for file in tables) > _LARGE
     progress.stage(f"checking {root}")
-    if entry := read_entry(root):
-        yield from (f"{root}: {fault}" for fault in entry.faults(progress))
-        return
+    clean, entry = True, read_entry(root)
     with executor(0 if large else 1) as pool:
-        yield from dataset_faults(named, pool.map, sample)
-
-
-def checked(named: str, sample: int = 0) -> str:
-    """Describe what `faults` has checked, as counts."""
-    if entry := read_entry(resolve(named)):
-        return str(entry)
-    counts = locate(named).counts(sample)
-    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+        for fault in entry.faults(progress) if entry else dataset_faults(named, pool.map, sample):
+            clean = False
+            yield f"{root}: {fault}" if entry else fault
+    if clean:
+        counts = {} if entry else locate(named).counts(sample)
+        said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+        progress.say(f"{named}: {entry or said}: no faults")
 
 
 def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Progress) -> None:
@@ -136,7 +124,7 @@ def _episode_film(path: Path, row: int) -> tuple[list[Image], int, str]:
     dataset = open_episodes(path)
     _require_row(row, dataset.episodes.episodes.rows)
     stored = dataset.select([row])
-    made = expanded(stored, replay).episodes
+    made = replay(stored.episodes, stored.found_task)
     steps, difference = int(made.episodes["length"][0]), made.differences(stored.episodes)
     return film_of(made, dataset.task), steps, "; ".join(difference[:3])
 

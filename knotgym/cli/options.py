@@ -365,11 +365,9 @@ def _read_settings(path: Path | None, sections: Sections) -> dict[str, Any]:
     if path is None:
         return {}
     form = "TOML" if path.suffix == ".toml" else "JSON"
-    try:
+    with InvalidInput.instead(f"--settings {path} can't be read as {form}", OSError, ValueError):
         is_toml = form == "TOML" and path.is_file()
         found: Any = tomllib.loads(path.read_text("utf-8")) if is_toml else read_json(path)
-    except (OSError, ValueError) as error:
-        raise InvalidInput(f"--settings {path} can't be read as {form}: {error}") from error
     if not isinstance(found, dict):
         raise InvalidInput(f"--settings {path} must hold an object, got {found!r}")
     for section, kind in sections.items():

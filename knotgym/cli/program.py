@@ -5,9 +5,11 @@ import functools
 import os
 import signal
 import sys
+import tomllib
 import traceback
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
+from importlib.resources import files
 from types import FrameType
 
 from cyclopts import App, CycloptsError, UnknownOptionError, UnusedCliTokensError
@@ -15,24 +17,9 @@ from cyclopts import App, CycloptsError, UnknownOptionError, UnusedCliTokensErro
 from knotgym import __version__
 from knotgym.common import Failed, KnotgymError, one_line
 
-# A command's module is imported when the command is typed. Its summary is also the first line of
-# its docstring; a test compares them.
-COMMANDS = {
-    "demo": "Film the expert tying a knot diagram; takes seconds, a minute on the first run.",
-    "generate": "Generate rope states with train and test splits, and demonstrations of their"
-    " Gauss codes.",
-    "collect": "Roll out a policy and write its episodes as a Minari dataset.",
-    "suite": "Make the fixed benchmark of offline datasets, or a part of it.",
-    "train": "Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.",
-    "evaluate": "Measure the success rates of policies, with 95 % confidence intervals.",
-    "compare": "Compare results: differences of success rates with intervals.",
-    "play": "Pull the rope by hand in a browser.",
-    "images": "Generate labelled pictures for perception.",
-    "prompt": "Evaluate a vision-language model on episodes, or on reading Gauss codes from"
-    " pictures.",
-    "dataset": "Inspect, check and convert datasets.",
-    "doctor": "Compare digests of a fixed list with those recorded, in a minute.",
-}
+# A command's module is imported when the command is typed; so summaries are here, too.
+_TEXTS = tomllib.loads((files("knotgym.cli") / "commands.toml").read_text("utf-8"))
+COMMANDS: dict[str, str] = _TEXTS["commands"]
 
 _BESIDE = {"suite": "collect", "compare": "evaluate"}  # commands in the module of another
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
@@ -53,13 +40,8 @@ def application() -> App:
     """Make the application `knotgym`."""
     app = App(
         name="knotgym",
-        help="Environments and data for spatial reasoning about knots.",
-        help_epilogue="Every command takes --quiet, to print errors only.\n\nExamples:\n\n"
-        "    knotgym demo\n\n"
-        "    knotgym generate --nx 3 --count 40\n\n"
-        "    knotgym collect --task tie --nx 3 --policy expert --episodes 200\n\n"
-        "    knotgym evaluate --task tie --nx 3 --policy random\n\n"
-        "    knotgym dataset show knotgym-data/nx3",
+        help=_TEXTS["help"],
+        help_epilogue=_TEXTS["epilogue"],
         help_format="plaintext",
         suppress_keyboard_interrupt=False,
         version=f"knotgym {__version__}",

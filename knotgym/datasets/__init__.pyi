@@ -12,7 +12,6 @@ from .episodes import EPISODES as EPISODES
 from .episodes import MACROS as MACROS
 from .episodes import PULLS as PULLS
 from .episodes import RECORDED as RECORDED
-from .episodes import STARTS as STARTS
 from .episodes import STEPS as STEPS
 from .episodes import Episodes as Episodes
 from .episodes import Shown as Shown

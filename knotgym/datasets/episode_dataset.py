@@ -114,7 +114,7 @@ class EpisodeDataset:
     @property
     def digests(self) -> dict[str, str]:
         """The digests of its episodes as they are, by the names of the file's attributes."""
-        return digests_of([self.episodes])
+        return _digests_of([self.episodes])
 
     @property
     def numbers(self) -> NDArray[np.int64]:
@@ -304,7 +304,7 @@ def write_episodes(
         "task": as_json(task),
         "rope": task.rope_config.fingerprint,
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
-        **digests_of(same),
+        **_digests_of(same),
     }
     if parts[0].is_recording:
         # beside its states, by which the starts that follow from seeds are found
@@ -382,7 +382,7 @@ def _starts(task: TaskConfig, seeds: NDArray[np.int64]) -> NDArray[np.float64]:
     return starts
 
 
-def digests_of(parts: Sequence[Episodes]) -> dict[str, str]:
+def _digests_of(parts: Sequence[Episodes]) -> dict[str, str]:
     """Hash sets of episodes as one; return the digests by the names of the file's attributes."""
     found = {"digest": _digest([part.recording() for part in parts])}
     if not any(part.is_recording for part in parts):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Counts, InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
-from knotgym.datasets.episode_dataset import EpisodeDataset, digests_of, open_episodes
+from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -59,15 +59,15 @@ def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
         made = replay(some, task)
         own = made.episodes.replaced(planner_steps=some.episodes["planner_steps"])
         parts.append(made._replace(episodes=own))
-    whole = Episodes.merged(parts) if parts else dataset.episodes
+    whole = replace(dataset, episodes=Episodes.merged(parts) if parts else dataset.episodes)
     if is_whole and dataset.episodes.is_recording and parts:
-        found = digests_of([whole])["expansion"]
+        found = whole.digests["expansion"]
         if dataset.attributes.get("expansion", found) != found:
             raise InvalidFile(
                 f"{dataset.path} can't be expanded to the bit: played again, its pulls lead to"
                 " other states here than where it was recorded"
             )
-    return replace(dataset, episodes=whole)
+    return whole
 
 
 def episode_faults(source: Any, replay: Replay, *, sample: int = 0) -> Iterator[str]:
@@ -155,13 +155,12 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         if column.dtype.kind == "f" and not np.isfinite(column).all():
             yield f"{dataset.path}: {name} contains a number that isn't finite"
     advised = np.abs(steps.get("expert_action", np.zeros(0))).max(initial=0)
-    beads, far = dataset.task.beads, np.abs(steps["force"]).max(initial=0) > 1
+    far = np.abs(steps["force"]).max(initial=0) > 1
+    absent = steps["bead"].max(initial=0) >= dataset.task.beads
     negative = (own["seed"] < -1).any() or (own["planner_steps"] < 0).any()
     led = "macro_side" not in steps or _fit_macros(dataset)
     wrong = {
-        "a pull is of a bead or with a force that doesn't exist": (
-            far or steps["bead"].max(initial=0) >= beads
-        ),
+        "a pull is of a bead or with a force that doesn't exist": far or absent,
         "an expert's action lies outside [-1, 1]": advised > 1,
         "a seed or a number of planned pulls is negative": negative,
         "a pull isn't one of the macro-action that it belongs to": not led,
@@ -186,38 +185,32 @@ def _digest_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield which columns of a file aren't those that were written, of those no replay gives."""
     if dataset.rows is not None or dataset.parts:
         return  # a part of a file has no digest
-    whats = {"digest": "starts and pulls", "advice": "expert's actions"}
     now = dataset.digests
-    for name, what in whats.items():
+    for name, what in (("digest", "starts and pulls"), ("advice", "expert's actions")):
         if name in now and dataset.attributes.get(name) != now[name]:
             yield f"{dataset.path}: its {what} don't match their digest"
 
 
 def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield where codes aren't those of the vertices, or goals not those that their codes say."""
-    episodes = dataset.episodes
-    own, steps, first = episodes.episodes, episodes.steps, episodes.offsets[:-1]
-    numbers = dataset.numbers.tolist()
-    chiral = gauss_codes(steps["visits"], steps["signs"])
-    wanted = gauss_codes(own["goal_visits"])
+    (own, steps), points = dataset.episodes, dataset.episodes.steps["observation"]
+    chiral, wanted = gauss_codes(steps["visits"], steps["signs"]), gauss_codes(own["goal_visits"])
     shown = label_many(own["goal_points"].astype(np.float64))
-    begins = gauss_codes(steps["visits"][first])
-    told = Counts.over(episodes.last().tolist(), "codes read again", own.rows)
+    begins = gauss_codes(steps["visits"][dataset.episodes.offsets[:-1]])
+    told = Counts.over(dataset.episodes.last().tolist(), "codes read again", own.rows)
     for row, last in enumerate(told):
-        if str(shown[row]) != wanted[row]:
-            yield f"episode {numbers[row]}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
-        second = pyknotid_code(steps["observation"][last].astype(np.float64)).chiral
-        if second != chiral[last]:
-            where = f"episode {numbers[row]}, step {own['length'][row]}"
-            yield f"{where}: pyknotid reads {second!r}, the file says {chiral[last]!r}"
-        knots = [knot_type(GaussCode.parse(str(code))) for code in (begins[row], wanted[row])]
-        if knots[0] != knots[1]:
-            yield (
-                f"episode {numbers[row]}: starts as {knots[0]}, and its goal is {knots[1]}: no pull"
-                " changes the knot type"
-            )
-        elif begins[row] == wanted[row] and wanted[row]:
-            yield f"episode {numbers[row]}: starts in its goal's code"
+        where, goal = f"episode {dataset.numbers[row]}", str(wanted[row])
+        if str(shown[row]) != goal:
+            yield f"{where}: its goal shows {str(shown[row])!r}, not {goal!r}"
+        second, step = pyknotid_code(points[last].astype(np.float64)).chiral, own["length"][row]
+        if second != (first := str(chiral[last])):
+            yield f"{where}, step {step}: pyknotid reads {second!r}, the file says {first!r}"
+        here, there = (knot_type(GaussCode.parse(code)) for code in (str(begins[row]), goal))
+        if here != there:
+            why = "no pull changes the knot type"
+            yield f"{where}: starts as {here}, and its goal is {there}: {why}"
+        elif begins[row] == goal and goal:
+            yield f"{where}: starts in its goal's code"
 
 
 def _counted(names: NDArray[Any]) -> dict[str, int]:

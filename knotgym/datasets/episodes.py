@@ -17,7 +17,9 @@ set needs, so a code of any number of crossings fits; sets of different widths a
 """
 
 import hashlib
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -30,68 +32,27 @@ from knotgym.rope import TowBound
 from knotgym.topology import CodeArrays, GaussCode
 
 Ids = NDArray[np.int64]
+_COLUMNS = tomllib.loads((files("knotgym.datasets") / "episodes.toml").read_text("utf-8"))
 
 
-def _of(what: str, *columns: Column) -> tuple[Column, ...]:
-    """Return columns of a "state" or of a "pull"; the last state of an episode has no pull."""
-    return tuple(column._replace(of=what) for column in columns)
+def columns_in(*parts: str) -> tuple[Column, ...]:
+    """Return the columns of some parts of `episodes.toml`, one part after the other."""
+    listed = [item for part in parts for item in _COLUMNS[part].items()]
+    return tuple(
+        Column(name, **one)._replace(shape=(*one.get("shape", ()),)) for name, one in listed
+    )
 
 
-_STARTS = (
-    Column("seed", "int64", (), "", "of start, goal and the policy's draws; -1 if none is known"),
-    Column("start", "int64", (), "", "row of the states that it starts in, before reset noise"),
-    Column("goal", "int64", (), "", "row of the states that shows the goal"),
-    Column("start_qpos", "float64", ("nq",), "m, 1", "generalized positions of the rope at rest"),
-)
-_PLAYED = (
-    Column("policy", "text", (), "", "name of the policy that acted"),
-    Column("goal_visits", "int16", ("visits",), "", "Gauss code of the goal"),
-    Column("hold", "int32", (), "steps", "to show the goal for; 0 for the task's number"),
-    Column("length", "int64", (), "pulls", "T; the episode has T + 1 rows of steps"),
-    Column("success", "bool", (), "", "the goal was shown for as long as the task asks"),
-    Column("diverged", "bool", (), "", "the simulation blew up in the last pull"),
-    Column("return_", "float64", (), "", "sum of the rewards"),
-    Column("planner_steps", "int64", (), "pulls", "that the policy simulated to plan"),
-)
-_PULLS = _of(
-    "pull",
-    Column("bead", "uint16", (), "", "that is pulled, at its centre"),
-    Column("force", "float32", (3,), "of max_force", "that it is pulled with"),
-    Column("macro_start", "bool", (), "", "the pull is the first of a macro-action", True),
-    Column("macro_bead", "uint16", (), "", "that the macro-action leads", True),
-    Column("macro_target", "uint16", (), "", "bead whose strand the macro-action passes", True),
-    Column("macro_side", "int8", (), "", "+1 over, -1 under; 0 without a macro-action", True),
-)
-_OUTCOMES = _of(
-    "pull",
-    Column("action", "float32", (6,), "[-1, 1]", "the same pull: bead's position / reach, force"),
-    Column("reward", "float64", (), "", "of the pull"),
-    Column("terminated", "bool", (), "", "the pull reached the goal, and the episode ended"),
-    Column("truncated", "bool", (), "", "the episode ended without"),
-    Column("applied_fraction", "float32", (), "", "of the force, that the engine applied"),
-)
-_SHOWN = _of(
-    "state",
-    Column("visits", "int16", ("visits",), "", "Gauss code: +label over, -label under, then 0"),
-    Column("signs", "int8", ("labels",), "", "of crossings 1, 2, ...: +1 positive, -1, then 0"),
-    Column("crossings", "int16", (), "", "how many there are"),
-)
-_OBSERVATION = Column("observation", "float32", ("beads", 3), "m", "vertices of the rope")
-# asked for in each state but the last, like a pull
-_ADVICE = Column("expert_action", "float32", (6,), "[-1, 1]", "what the expert would do here", True)
-_FRAMES = (*_of("state", _OBSERVATION), *_OUTCOMES, *_SHOWN, *_of("pull", _ADVICE))
-_GOALS = (Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),)
-
-STARTS = Schema("episodes", _STARTS, "where an episode begins")
-RECORDED = Schema("episodes", (*_STARTS, *_PLAYED), "an episode")
-EPISODES = Schema("episodes", (*_STARTS, *_PLAYED, *_GOALS), "an episode")
-PULLS = Schema("steps", _PULLS, "a state and the pull made in it")
+STARTS = Schema("episodes", columns_in("starts"), "where an episode begins")
+RECORDED = Schema("episodes", columns_in("starts", "played"), "an episode")
+EPISODES = Schema("episodes", columns_in("starts", "played", "goals"), "an episode")
+PULLS = Schema("steps", columns_in("pulls"), "a state and the pull made in it")
 # as files of recordings have them: forces in one of two columns
-_BINS = _of("pull", Column("force_bins", "int8", (3,), "max_force / 127", "the same force", True))
 STORED_PULLS = PULLS._replace(
-    columns=tuple(c._replace(optional=c.name != "bead") for c in _PULLS) + _BINS
+    columns=tuple(c._replace(optional=c.name != "bead") for c in columns_in("pulls", "bins"))
 )
-STEPS = Schema("steps", (*_PULLS, *_FRAMES), "a state, the pull made in it, and what it brought")
+_STEP = "a state, the pull made in it, and what it brought"
+STEPS = Schema("steps", columns_in("pulls", "frames"), _STEP)
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, STORED_PULLS)}  # of files
 MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 
@@ -224,6 +185,20 @@ class Episodes(NamedTuple):
         own = {"length": lengths, "planner_steps": np.zeros_like(lengths)}
         own["policy"] = np.full(len(lengths), policy)
         return cls(Table(RECORDED.only(*own), own), Table(schema, steps))
+
+    @staticmethod
+    def to_begin(start_qpos: ArrayLike, seed: ArrayLike, **more: ArrayLike) -> Table:
+        """Return where n episodes begin, to be played: rows of STARTS.
+
+        Args:
+            start_qpos: float64 (n, nq), m and 1.
+            seed: int64 (n,).
+            more: other columns; those that aren't given are zeros.
+        """
+        schema = STARTS.sized(nq=np.shape(start_qpos)[1])
+        given = {"start_qpos": start_qpos, "seed": seed, **more}
+        own = {name: np.asarray(values) for name, values in given.items()}
+        return Table(schema, {**schema.empty(len(own["seed"])), **own})
 
     def pulls(self) -> Table:
         """Return the rows of steps in which a pull is made: all but the last of each episode."""

@@ -57,10 +57,14 @@ def _contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]
     return sheet
 
 
-def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
-    """Write the contact sheet of tiles as a PNG."""
+def write_gallery(path: Path, shown: States | Sequence[Path]) -> None:
+    """Write the contact sheet of states, or of datasets of episodes, as a PNG."""
+    _write(path, _state_tiles(shown) if isinstance(shown, States) else _episode_tiles(shown))
+
+
+def _write(path: Path, tiles: Sequence[Tile]) -> None:
     # level 9 takes five times as long, for 2 % less
-    Path(path).write_bytes(encode(_contact_sheet(tiles), 6))
+    path.write_bytes(encode(_contact_sheet(tiles), 6))
 
 
 def write_sheet(path: Path, found: "Located") -> str:
@@ -70,22 +74,22 @@ def write_sheet(path: Path, found: "Located") -> str:
         what = "pictures"
     elif found.states:
         states = read_states(found.states, images=False)
-        tiles, what, count = state_tiles(states), "states", len(states)
+        tiles, what, count = _state_tiles(states), "states", len(states)
     else:
-        tiles, what = episode_tiles(found.episodes), "episodes, each at its end"
+        tiles, what = _episode_tiles(found.episodes), "episodes, each at its end"
         count = sum(columns_of(one).episodes.episodes.rows for one in found.episodes)
-    write_gallery(path, tiles)
+    _write(path, tiles)
     return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
 
 
-def state_tiles(states: States) -> list[Tile]:
+def _state_tiles(states: States) -> list[Tile]:
     """Return the knot diagrams of states, sorted by crossings, code and split.
 
     Of more than MOST_STATES they are a sample, even over crossings and splits.
     """
     kinds = [*zip(states.nx.tolist(), states.split.tolist(), strict=True)]
     order = sorted(
-        sample(kinds, MOST_STATES),
+        _sample(kinds, MOST_STATES),
         key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
     )
     captions = (
@@ -98,7 +102,7 @@ def state_tiles(states: States) -> list[Tile]:
     ]
 
 
-def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
+def _episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
     """Return the knot diagrams of the final states of a sample of SHOWN episodes.
 
     The sample is even over datasets, crossings of goals, and outcomes.
@@ -113,7 +117,7 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
         every += [(number, row) for row in range(own.rows)]
         outcomes = own["success"].tolist()
         strata += [(number, *pair) for pair in zip(crossings, outcomes, strict=True)]
-    for number, row in (every[k] for k in sample(strata)):
+    for number, row in (every[k] for k in _sample(strata)):
         (own, steps), last = opened[number].episodes, opened[number].episodes.last()[row]
         both = steps["visits"][[last]], own["goal_visits"][[row]]
         code, goal = (str(gauss_codes(visits)[0]) or "loop" for visits in both)
@@ -129,7 +133,7 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 def _picture_tiles(table: str | os.PathLike[str]) -> tuple[list[Tile], int]:
     """Return a sample of SHOWN pictures of a perception table, even over splits and nx, of all."""
     found = read_table(table, columns=["image", "gauss_code_chiral", "split", "nx"])
-    rows = sample([*zip(found["split"].to_pylist(), found["nx"].to_pylist(), strict=True)])
+    rows = _sample([*zip(found["split"].to_pylist(), found["nx"].to_pylist(), strict=True)])
     tiles = [
         Tile(
             np.asarray(cv2.resize(decode(row["image"]["bytes"]), (_TILE, _TILE)), np.uint8),
@@ -140,10 +144,10 @@ def _picture_tiles(table: str | os.PathLike[str]) -> tuple[list[Tile], int]:
     return tiles, len(found)
 
 
-def sample(strata: Sequence[Hashable], most: int = SHOWN) -> list[int]:
+def _sample(strata: Sequence[Hashable], most: int = SHOWN) -> list[int]:
     """Choose at most `most` rows, as many of each stratum as possible, evenly spaced in it.
 
-    >>> sample(["a", "b", "a", "a"], 2), sample([3, 3, 1], 9)
+    >>> _sample(["a", "b", "a", "a"], 2), _sample([3, 3, 1], 9)
     ([0, 1], [0, 1, 2])
     """
     rows: dict[Hashable, list[int]] = {}

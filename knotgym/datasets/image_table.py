@@ -97,7 +97,7 @@ def picture_column(pictures: Iterable[bytes]) -> Any:
     return arrow().array([{"bytes": one, "path": None} for one in pictures], _arrow_type("image"))
 
 
-def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
+def _table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     """Return rows of one appearance, pictures as PNG bytes, as a pyarrow.Table."""
     columns = columns_among(rows[0] if rows else ())
     pngs = _pngs(columns)
@@ -123,10 +123,10 @@ class PictureRow(NamedTuple):
 
 def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
     """Render rows as a pyarrow.Table."""
-    return table_of([record(row, config) for row in rows])
+    return _table_of([_record(row, config) for row in rows])
 
 
-def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
+def _record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     """Return all columns of a row by name, `image` as PNG bytes."""
     source = row.source
     rng = Stream.IMAGE_APPEARANCE.generator(source["seed"], source["row"])
@@ -163,7 +163,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
 
 def parquet(rows: Any) -> bytes:
     """Return the bytes of a shard of rows, or a pyarrow.Table; the same rows give the same."""
-    table = table_of(rows) if isinstance(rows, Sequence) else rows
+    table = _table_of(rows) if isinstance(rows, Sequence) else rows
     named = {"format": FORMAT, "format_version": VERSION, _DIGEST: _content_digest(table)}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
     table, sink = table.replace_schema_metadata(metadata), arrow().BufferOutputStream()
@@ -248,9 +248,7 @@ def read_table(
         InvalidFile: a file is not a shard, truncated, or of an unknown format version.
     """
     pa = arrow()
-    wanted = None if columns is None else [*columns]
-    if wanted is not None and split is not None and "split" not in wanted:
-        wanted.append("split")
+    wanted = None if columns is None else [*dict.fromkeys([*columns, *["split"] * bool(split)])]
     table = pa.concat_tables([_read(path, wanted) for path in shards(path, split)])
     if split is not None:
         table = table.filter(arrow("pyarrow.compute").equal(table["split"], split))

@@ -37,7 +37,7 @@ from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import TaskConfig
 from knotgym.quality import Limits, Quality
-from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
+from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
 from knotgym.rope import ENGINES, MUJOCO, Array, Rope, RopeConfig, drawn_actions, simulation
 from knotgym.states import (
     IMAGE_SPLITS,
@@ -188,11 +188,9 @@ def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
         same = found == right if isinstance(right, bytes) else np.array_equal(found, right)
         if not same:
             yield f"{name} is not the picture of points"
-    elif isinstance(right, float):
-        if found != right and not abs(found - right) <= _ROUNDING * (1 + abs(right)):
-            yield f"{name} is {found}, recomputed {right}"
     elif found != right:
-        yield f"{name} is {found}, recomputed {right}"
+        if not (isinstance(right, float) and abs(found - right) <= _ROUNDING * (1 + abs(right))):
+            yield f"{name} is {found}, recomputed {right}"
 
 
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
@@ -288,12 +286,6 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Arra
     return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
 
 
-def _redrawn(points: Array, row: Mapping[str, Any]) -> Drawn:
-    """Draw the picture of a row, as `read_rows` gives it, again."""
-    drawer = Drawer.of(row["appearance"]["name"])
-    return drawer.drawn(points, drawer.read(row))
-
-
 def _image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
     """Yield the faults of a table: manifest and checksums, then rows and splits.
 
@@ -350,24 +342,26 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
     if (name := row["appearance"]["name"]) not in APPEARANCES:
         yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
         return
-    factors = {
-        f"{name}.{one}": value
-        for name in ("appearance", *APPEARANCES[row["appearance"]["name"]].own_columns)
-        if isinstance(row[name], dict)
-        for one, value in row[name].items()
-    }
-    for name, value in factors.items():
-        sized = name == "appearance.size"
+    structures = ("appearance", *APPEARANCES[name].own_columns)
+    factors = [
+        (f"{one}.{factor}", value)
+        for one in structures
+        if isinstance(row[one], dict)
+        for factor, value in row[one].items()
+        if isinstance(value, (int, float))
+    ]
+    for factor, value in factors:
+        sized = factor == "appearance.size"
         low, high = AppearanceConfig.SIZES if sized else (-_MOST_DRAWN, _MOST_DRAWN)
-        numeric = isinstance(value, (int, float)) and name != "appearance.seed"
-        if numeric and not low <= value <= high:
-            yield f"{name} is {value}, should be {low:g} to {high:g}"
+        if factor != "appearance.seed" and not low <= value <= high:
+            yield f"{factor} is {value}, should be {low:g} to {high:g}"
             return
-    points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
-    whole = {**row, "points": points}
-    yield from _derived_faults(
-        whole, Rope(), lambda own: image_table.derived(own, _redrawn(own.points, row))
-    )
+    points, drawer = np.array(row["points"], np.float64).reshape(-1, 3), Drawer.of(name)
+
+    def _derived(rope: RopeAtRest) -> dict[str, Any]:
+        return image_table.derived(rope, drawer.drawn(rope.points, drawer.read(row)))
+
+    yield from _derived_faults({**row, "points": points}, Rope(), _derived)
     if (colours := row["appearance"]["colours"]) not in _COLOURS:
         yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:

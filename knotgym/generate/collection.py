@@ -7,7 +7,7 @@ the seed and its number, so the dataset's bytes don't depend on blocks, lanes or
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,16 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    Occupied,
-    Table,
-    as_json,
-    differences,
-    require_output,
-    sha256,
-)
+from knotgym.common import InvalidFile, InvalidInput, as_json, differences, sha256
 from knotgym.control import PolicyConfig, compile_planning, make_policy
 from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
@@ -32,17 +23,7 @@ from knotgym.generate.episode_configs import OBSERVATION, CollectConfig, plain_i
 from knotgym.generate.recordings import RECORDINGS, rebuilt
 from knotgym.generate.results import reference_scores
 from knotgym.rope import CHAIN, MUJOCO
-from knotgym.runs import (
-    Call,
-    Progress,
-    Recipe,
-    Result,
-    RunOptions,
-    compile_first,
-    identity,
-    require_no_interrupted_run,
-    run,
-)
+from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
 from knotgym.states import is_bundled, minari_root, read_states, resolve_states
 
 # Episodes of a block, at least and at most, so that it takes about half a minute of one core at
@@ -147,13 +128,14 @@ def collect(
     files = {RECORDINGS.name: RECORDINGS} if recorded else {}
     made_by = identity(config, files, also=advisers)
     plan = compile_planning if config.policy.plans else None
+    recipe = partial(_episodes_of, config, made_by, rebuilt if recorded else _play)
     return run(
-        lambda place: _episodes_of(config, made_by, place, rebuilt if recorded else _play),
+        recipe,
         folder,
         made_by,
         options,
         progress,
-        prepare=partial(compile_first, engine=config.task.engine, plan=plan),
+        compiles={"engine": config.task.engine, "plan": plan},
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
         identity_in=run_facts,
     )
@@ -181,20 +163,15 @@ def require_collectable(
         Occupied: it does, and `options` don't say what to do with it.
     """
     config, folder = _named(config, out)
-    if not options.resume and options.shard.is_whole:
-        try:
-            require_output(folder, folder=True, overwrite=options.overwrite, reads=[])
-        except Occupied as error:
-            raise Occupied(f"{error}, or another --id") from None
-    require_no_interrupted_run(folder, options, options.shard)
+    require_free(folder, options, ", or another --id")
     return config
 
 
 def _episodes_of(
     config: CollectConfig,
     made_by: Mapping[str, Any],
-    place: Path,
     block: Callable[[CollectConfig, range], Result],
+    place: Path,
 ) -> Recipe[str]:
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
     parts = list[Episodes]()
@@ -247,9 +224,7 @@ def _publish(
     Raises:
         InvalidInput: no episode is left to keep.
     """
-    total = Counter[str]()
-    for part in parts:
-        total.update(_total(part.episodes, config.keep_failed))
+    total = _total(parts, config.keep_failed)
     if not total["kept"]:
         raise InvalidInput(
             f"none of {total['played']} episodes reached the goal and failed ones are dropped, so"
@@ -275,20 +250,17 @@ def _publish(
     )
 
 
-def _total(episodes: Table, keep_failed: bool) -> dict[str, int]:
+def _total(parts: Sequence[Episodes], keep_failed: bool) -> dict[str, int]:
     """Count the episodes that were played, that succeeded and that are kept; add up the kept ones'
     `steps`, the pulls `planned`, and the episodes that `failed` because the simulation blew up.
     """
-    success, lengths = episodes["success"], episodes["length"]
+    names = ("success", "length", "planner_steps", "diverged")
+    every = ([part.episodes[name] for part in parts] for name in names)
+    success, lengths, planned, failed = map(np.concatenate, every)
     kept = success | keep_failed
-    return {
-        "played": episodes.rows,
-        "succeeded": int(success.sum()),
-        "kept": int(kept.sum()),
-        "steps": int(lengths[kept].sum()),
-        "planned": int(episodes["planner_steps"].sum()),
-        "failed": int(episodes["diverged"].sum()),
-    }
+    counts = {"played": kept.size, "succeeded": success.sum(), "kept": kept.sum()}
+    counts |= {"steps": lengths[kept].sum(), "planned": planned.sum(), "failed": failed.sum()}
+    return {name: int(count) for name, count in counts.items()}
 
 
 def run_facts(dataset: Path) -> Mapping[str, Any]:

@@ -157,10 +157,8 @@ def _numbers(words: Sequence[str]) -> list[float]:
 def _row(words: Sequence[str], number: int) -> tuple[str, list[float]]:
     if len(words) not in (3, 4):
         raise InvalidInput(f"line {number} has {len(words)} values, should be x y z or name x y z")
-    try:
+    with InvalidInput.instead(f"line {number}", ValueError):
         return "".join(words[:-3]), [float(word) for word in words[-3:]]
-    except ValueError as error:
-        raise InvalidInput(f"line {number}: {error}") from error
 
 
 def _by_name(rows: list[tuple[str, list[float]]], announced: str, path: Path) -> Components:

@@ -21,14 +21,7 @@ from numpy.typing import NDArray
 from knotgym.common import Failed, InvalidInput, Stream, Table, as_json
 from knotgym.drawing import drawn_curve
 from knotgym.generate.generate_config import GenerateConfig
-from knotgym.generate.state_rows import (
-    Selection,
-    judge,
-    row_of,
-    stacked,
-    with_report,
-    without_report,
-)
+from knotgym.generate.state_rows import Selection, judge, report_of, row_of, stacked, with_report
 from knotgym.quality import measure
 from knotgym.rope import Array, RopeConfig, Simulation, simulation_of
 from knotgym.runs import Call, Recipe, Result
@@ -106,7 +99,7 @@ class WantedCodes:
         if config.every_code:
             self.wanted = len(self._order)
 
-    def lacking(self) -> Counter[int]:
+    def _lacking(self) -> Counter[int]:
         """Count the states still to be made, by index of their code.
 
         A code that is given up keeps the states it has, and later codes take its other places.
@@ -180,7 +173,7 @@ def drawn_rows(
     made, reserved, made_before = (Counter[tuple[int, int]]() for _ in range(3))
     kept = defaultdict[tuple[int, int], list[NDArray[np.float64]]](list)
     while needed := {
-        (nx, index): lacking for nx, of in codes.items() for index, lacking in of.lacking().items()
+        (nx, index): lacking for nx, of in codes.items() for index, lacking in of._lacking().items()
     }:
         orders = list[_Order]()
         parts = [
@@ -206,7 +199,7 @@ def drawn_rows(
         ]
         # in the order of the calls, whichever worker was done first
         for result in (yield calls):
-            rows, drawn = without_report(result)
+            rows, drawn = report_of(result)
             for nx, index, drawings, reasons in drawn:
                 made[nx, index] += drawings
                 selection.rejected[nx].update(reasons)

@@ -55,25 +55,13 @@ from knotgym.runs import Result as Kept
 from knotgym.states import is_bundled, resolve_states
 
 FORMAT, VERSION = "knotgym-entry", 1
-ROWS = Schema(
-    "episodes",
-    (
-        Column("length", "uint32", (), "pulls", "T, the number of pulls", least=1),
-        Column("digest", "uint8", (DIGEST,), "", "the first bytes of its states' SHA-256"),
-    ),
-    "an episode, setup after setup",
-)
-_BEAD, _FORCE = PULLS.columns[:2]
+_LENGTH = Column("length", "uint32", (), "pulls", "T, the number of pulls", least=1)
+_DIGEST = Column("digest", "uint8", (DIGEST,), "", "the first bytes of its states' SHA-256")
+ROWS = Schema("episodes", (_LENGTH, _DIGEST), "an episode, setup after setup")
+_BEAD, _FORCE = PULLS.columns[0], PULLS.columns[1]._replace(optional=True)
 _UNIT = f"max_force / {FORCE_BINS}"
-PULLED = Schema(
-    "steps",
-    (
-        _BEAD,
-        _FORCE._replace(optional=True),
-        Column("bins", "int8", (3,), _UNIT, "the force, where all forces are quantized", True),
-    ),
-    "a pull, episode after episode",
-)
+_BINS = Column("bins", "int8", (3,), _UNIT, "the force, where all forces are quantized", True)
+PULLED = Schema("steps", (_BEAD, _FORCE, _BINS), "a pull, episode after episode")
 
 
 class Entry(NamedTuple):
@@ -166,11 +154,10 @@ def read_entry(path: Path) -> Entry | None:
     (rows, pulls), attributes = read_tables(path, ROWS, PULLED, format=FORMAT, version=VERSION)
     if attributes.pop("digest", None) != _digest(attributes, [rows], [pulls]):
         raise InvalidFile(f"{path}: its columns and attributes don't match its digest")
-    try:
+    raised = KnotgymError, LookupError, TypeError, ValueError
+    with InvalidFile.instead(f"{path} has no valid configuration", *raised):
         config = from_json(EvaluateConfig, attributes["config"])
         states, claimed = states_digests(config), [dict(one) for one in attributes["claimed"]]
-    except (KnotgymError, LookupError, TypeError, ValueError) as error:
-        raise InvalidFile(f"{path} has no valid configuration: {one_line(error)}") from error
     if attributes.get("states") != states:
         raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
     if unlike := RopeConfig().unlike(attributes.get("rope")):

@@ -69,31 +69,22 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
     """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
     setups = list(config.setups())
     numbers = [blocks(config.episodes, task, policy.plans) for policy, task in setups]
-    calls = [
-        Call(
-            f"episodes of setup {setup}{', recorded' * recorded} {few.start}-{few.stop - 1}",
-            _play,
-            (*one, few, config.seed, recorded),
-            len(few),
-        )
-        for setup, (one, own) in enumerate(zip(setups, numbers, strict=True), 1)
-        for few in own
-    ]
-    numbered = enumerate(setups, 1) if filmed else ()
-    films = [
-        Call(f"film {setup}", _play, (*one, range(filmed), config.seed, True), filmed)
-        for setup, one in numbered
-    ]
-    parts = [Episodes.of(part) for part in (yield [*calls, *films])]
-    rest = iter(parts)
+    calls, mark = list[Call](), ", recorded" * recorded
+    for setup, (one, own) in enumerate(zip(setups, numbers, strict=True), 1):
+        for few in own:
+            name = f"episodes of setup {setup}{mark} {few.start}-{few.stop - 1}"
+            calls.append(Call(name, _play, (*one, few, config.seed, recorded), len(few)))
+    for setup, one in enumerate(setups, 1) if filmed else ():
+        arguments = *one, range(filmed), config.seed, True
+        calls.append(Call(f"film {setup}", _play, arguments, filmed))
+    rest = map(Episodes.of, (yield calls))
     played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
+    actions = [make_policy(policy).compatible_task(task).action for policy, task in setups]
     results = [
-        Result.of(
-            policy.policy, make_policy(policy).compatible_task(task).action, task, one.episodes
-        )
-        for (policy, task), one in zip(setups, played, strict=True)
+        Result.of(policy.policy, action, task, one.episodes)
+        for (policy, task), action, one in zip(setups, actions, played, strict=True)
     ]
-    return results, played, parts[len(calls) :]
+    return results, played, [*rest]
 
 
 def _reached(played: Kept) -> dict[str, int]:
@@ -101,12 +92,7 @@ def _reached(played: Kept) -> dict[str, int]:
 
 
 def _require_playable(config: EvaluateConfig) -> None:
-    """Refuse setups whose policies don't fit, before any work is done.
-
-    Raises:
-        InvalidPolicy: a policy doesn't fit a task.
-        InvalidInput: the state file lacks states that a task needs.
-    """
+    """Refuse setups whose policies don't fit, before any work is done."""
     for policy, task in config.setups():
         make_policy(policy).compatible_task(task)
         task_sides(task)
@@ -136,7 +122,8 @@ def evaluate(
 
     Raises:
         InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
-        InvalidPolicy, InvalidInput: as in `_require_playable`.
+        InvalidPolicy: a policy doesn't fit a task.
+        InvalidInput: the state file lacks states that a task needs.
         InvalidInput, Occupied, Failed: as in `runs.runner.run`, and for `video`.
     """
     progress = progress or Progress(quiet=True)
@@ -151,7 +138,7 @@ def evaluate(
         Film(video)
     _require_playable(config)
     made_by, results, films = identity(config), list[Result](), list[Episodes]()
-    prepare = partial(compile_first, engine=config.task.engine)
+    compiles: dict[str, Any] = {"engine": config.task.engine}
     beside = [*filter(None, (video, record))]
 
     def _recipe(place: Path | None) -> Recipe[str]:
@@ -178,10 +165,10 @@ def evaluate(
 
     if out is None:
         with executor(options.workers) as pool:
-            prepare(progress, pool)
+            compile_first(progress, pool, **compiles)
             compute(_recipe(None), pool=pool, progress=progress, count=_reached)
     else:
-        make = partial(run_recipe, is_folder=False, prepare=prepare, count=_reached)
+        make = partial(run_recipe, is_folder=False, compiles=compiles, count=_reached)
         make(_recipe, out, made_by, options, progress)
         if not options.shard.is_whole:
             return []
@@ -212,7 +199,7 @@ def _claims(
             "action": result.action,
             "plans": policy.plans,
             "simulated_per_pull": result.planned_actions / np.mean(result.outcomes["steps"]),
-            "training": _training(policy.policy),
+            "training": _training(policy),
             "files": files.get(policy.policy, {}),
             "versions": made_by["versions"],
             "commit": commit,
@@ -222,9 +209,9 @@ def _claims(
     ]
 
 
-def _training(policy: str) -> dict[str, Any]:
+def _training(policy: PolicyConfig) -> dict[str, Any]:
     """Return what the card of a policy says of its training."""
-    card = PolicyConfig(policy=policy).card() or {}
+    card = policy.card() or {}
     return {name: card[name] for name in _TRAINING if name in card}
 
 
@@ -255,9 +242,7 @@ def _report(
         "interval": list(cluster_interval(success, starts, goals)),
         "episodes": len(success),
         **made_by,
-        "learners": {
-            one.policy: _training(one.policy) for one in config.policies if one.card() is not None
-        },
+        "learners": {one.policy: _training(one) for one in config.policies if one.card()},
         "results": [asdict(one) for one in results],
     }
 
@@ -278,13 +263,9 @@ def film(episodes: Episodes, task: TaskConfig) -> list[NDArray[np.uint8]]:
     for one in (episodes.select([row]) for row in range(episodes.episodes.rows)):
         own, steps = one.episodes, one.steps
         beads, forces = steps["bead"][:-1].tolist(), steps["force"][:-1].astype(np.float64)
-        length = int(own["length"][0])
-        frames += Film.frames(
-            list(steps["observation"].astype(np.float64)),
-            own["goal_points"][0].astype(np.float64),
-            [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
-            list(zip(beads, forces, strict=True)),
-            one.goal_reached(task),
-            task.views,
-        )
+        length, pulls = int(own["length"][0]), [*zip(beads, forces, strict=True)]
+        headings = [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)]
+        ropes, goals = (a.astype(np.float64) for a in (steps["observation"], own["goal_points"]))
+        reached = one.goal_reached(task)
+        frames += Film.frames([*ropes], goals[0], headings, pulls, reached, task.views)
     return frames

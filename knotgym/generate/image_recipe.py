@@ -25,34 +25,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, InvalidInput, Stream, Table
+from knotgym.common import Failed, InvalidInput, MissingExtra, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
-from knotgym.datasets import (
-    STARTS,
-    STEPS,
-    PictureRow,
-    arrow,
-    drawn_table,
-    finish,
-    parquet,
-    shard_name,
-)
+from knotgym.datasets import STEPS, Episodes, PictureRow, drawn_table, finish, parquet, shard_name
 from knotgym.envs import TaskConfig
 from knotgym.generate.images_config import ImagesConfig
 from knotgym.quality import base_spacing, grade_of, measure
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
 from knotgym.rope import Array, RopeConfig
-from knotgym.runs import (
-    Call,
-    Progress,
-    Recipe,
-    Result,
-    RunOptions,
-    compile_first,
-    compute,
-    identity,
-    run,
-)
+from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compute, identity, run
 from knotgym.states import (
     IMAGE_SPLITS,
     NEAR,
@@ -97,13 +78,12 @@ def make_images(
         InvalidInput: such pictures can't be made of these states.
         MissingExtra: pyarrow isn't installed.
     """
-    arrow()
+    MissingExtra.imported("pyarrow", "huggingface", "Parquet")
     path = resolve_states(None if states is None else str(states))
     plan = _plan_of(config, read_states(path, images=False))
     made = identity(config, {"name": path.name, "sha256": path})
     recipe = partial(_pictures, config, plan, made)
-    compiles = partial(compile_first, engine=config.engine)
-    return run(recipe, out, made, options, progress, prepare=compiles)
+    return run(recipe, out, made, options, progress, compiles={"engine": config.engine})
 
 
 def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> Any:
@@ -113,8 +93,7 @@ def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> A
     quota = {("train", one): each + (index < more) for index, one in enumerate(nx)}
     own = Stream.STREAM_PICTURES.derived_seed(seed, number)
     pictures = _Pictures(replace(config, seed=own), plan._replace(quota=quota))
-    compute(pictures.filled())
-    rows = [row for rows in pictures.files().values() for row in rows]
+    rows = [row for rows in compute(pictures.files()).values() for row in rows]
     return drawn_table(rows, config.appearance)
 
 
@@ -210,8 +189,7 @@ def _held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> froze
 def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Path) -> Recipe[str]:
     """Make pictures in the new folder `place`; the result is a summary."""
     pictures = _Pictures(config, plan)
-    yield from pictures.filled()
-    rows_of = pictures.files()
+    rows_of = yield from pictures.files()
     results = yield [
         Call(f"rendering pictures {name}", _drawn, (rows, config.appearance), len(rows))
         for name, rows in rows_of.items()
@@ -250,7 +228,7 @@ class _Pictures:
         self._codes = Counter[tuple[str, str]]()
         self._known: Spectra | None = None  # of the chosen, in arrays with room for more
 
-    def filled(self) -> Recipe[None]:
+    def _filled(self) -> Recipe[None]:
         """Pull ropes until all quotas are full.
 
         Raises:
@@ -369,8 +347,15 @@ class _Pictures:
             column[n] = new[0]
         return True
 
-    def files(self) -> dict[str, list[PictureRow]]:
-        """Return the rows of every file by its name; each split's rows are in random order."""
+    def files(self) -> Recipe[dict[str, list[PictureRow]]]:
+        """Pull ropes until all quotas are full; return the rows of every file by its name.
+
+        Each split's rows are in random order.
+
+        Raises:
+            Failed: several waves in a row brought no picture.
+        """
+        yield from self._filled()
         config, number = self._config, 0
         files: dict[str, list[PictureRow]] = {}
         for place, split in enumerate(IMAGE_SPLITS):
@@ -496,19 +481,13 @@ def _observed(
 ) -> dict[tuple[int, int], Array]:
     """Return the points of frames by index of the rope and pulls, in that order."""
     task = TaskConfig(task="unknot", nx=1, engine=config.engine, horizon=config.pulls, endless=True)
-    schema, found = STARTS.sized(nq=start_qpos.shape[1]), {}
+    found: dict[tuple[int, int], Array] = {}
     for turn, policy in enumerate(config.policies):
         own = [k for k, rope in enumerate(ropes) if rope.number % len(config.policies) == turn]
-        starts, stream = schema.empty(len(own)), Stream.IMAGE_WALK
-        starts["start_qpos"][:] = start_qpos[own]
-        starts["seed"][:] = [stream.derived_seed(config.seed, ropes[k].number) for k in own]
-        played = rollouts(
-            make_policy(PolicyConfig(policy=policy)),
-            task,
-            Table(schema, starts),
-            lanes=max(1, len(own)),
-            keep=STEPS.only("observation"),
-        )
+        seeds = [Stream.IMAGE_WALK.derived_seed(config.seed, ropes[k].number) for k in own]
+        starts = Episodes.to_begin(start_qpos[own], np.array(seeds, np.int64))
+        acting, kept = make_policy(PolicyConfig(policy=policy)), STEPS.only("observation")
+        played = rollouts(acting, task, starts, lanes=max(1, len(own)), keep=kept)
         lengths = played.episodes["length"].tolist()
         for index, first, length in zip(own, played.offsets.tolist(), lengths, strict=False):
             for pulls in range(config.stride, length + 1, config.stride):

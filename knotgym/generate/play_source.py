@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from knotgym.common import Failed, Stream, Table
 from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy, rollouts
-from knotgym.datasets import STARTS
+from knotgym.datasets import Episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.state_rows import Selection, judge, row_of, with_report, without_report
+from knotgym.generate.state_rows import Selection, judge, report_of, row_of, with_report
 from knotgym.rope import Array, Rope, drawn_actions, quantized
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import SOURCES, STATE_SPLITS
@@ -101,13 +101,11 @@ class PhasedPulls(Policy):
 
     def play(self, engine: str) -> "PhasedPulls":
         """Play the rollouts once, side by side."""
-        schema = STARTS.sized(nq=self.start_qpos.shape[1])
-        rows = schema.empty(len(self.keys))
-        rows["seed"][:], rows["start_qpos"][:] = np.arange(len(self.keys)), self.start_qpos
+        starts = Episodes.to_begin(self.start_qpos, np.arange(len(self.keys)))
         # which goal an endless task has makes no difference; one pull more shows the last frame
         horizon = self.config.pulls + 1
         task = TaskConfig(task="unknot", nx=1, engine=engine, endless=True, horizon=horizon)
-        rollouts(self, task, Table(schema, rows), lanes=len(self.keys), keep=None)
+        rollouts(self, task, starts, lanes=len(self.keys), keep=None)
         return self
 
 
@@ -263,7 +261,7 @@ def rows_of_ropes(
         ]
         pulled += _CALLS * ropes
         for result in (yield calls):
-            rows, reasons = without_report(result)
+            rows, reasons = report_of(result)
             for nx, each in reasons:
                 selection.rejected[nx].update(each)
             for row, rope in enumerate(rows["source/trajectory"].tolist()):

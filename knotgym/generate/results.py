@@ -9,23 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt
 from rich.console import Console
 
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    Share,
-    Table,
-    configuration,
-    from_json,
-    one_line,
-    read_json,
-)
+from knotgym.common import InvalidFile, InvalidInput, Share, configuration, from_json, read_json
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.rope import MUJOCO
 from knotgym.runs import cluster_interval, narrow_table
 
+Columns = Mapping[str, NDArray[Any]]
 _SETUP = ("policy", "task", "split", "nx")  # columns
 _OUTCOMES = ("start", "goal", "success", "steps")
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
@@ -72,25 +65,25 @@ class Result:
         lengths = {len(self.outcomes.get(name, ())) for name in _OUTCOMES}
         if lengths != {self.episodes} or max(self.outcomes["success"]) > 1:
             raise InvalidInput("outcomes aren't columns of one whole number an episode")
-        told = self.successes, self.success_rate, self.low, self.high, self.steps
-        # as numbers, of which None is nan; sums of floats differ by machine
-        own, found = (np.array(one, np.float64) for one in (told, _totals(self.outcomes)))
-        if not np.allclose(own, found, equal_nan=True):
+        totals = _totals(self.outcomes)
+        told = np.array([getattr(self, name) for name in totals], np.float64)  # None is nan
+        # sums of floats differ by machine
+        if not np.allclose(told, np.array([*totals.values()], np.float64), equal_nan=True):
             raise InvalidInput("its success rate, interval or steps aren't those of its outcomes")
 
     @classmethod
-    def of(cls, policy: str, action: str, task: TaskConfig, played: Table) -> "Result":
+    def of(cls, policy: str, action: str, task: TaskConfig, played: Columns) -> "Result":
         """Return the result of a setup.
 
         Args:
             policy: name of the policy.
             action: view that it acts in.
             task: the environment.
-            played: rows of the episodes.
+            played: columns of the episodes.
         """
         named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
         listed = {name: (*played[of].astype(np.int64).tolist(),) for name, of in named.items()}
-        successes, rate, low, high, steps = _totals(listed)
+
         (starts, goals), *_ = task_sides(task)
         return cls(
             policy=policy,
@@ -98,12 +91,8 @@ class Result:
             nx=task.crossings[0],
             split=task.split,
             action=action,
-            episodes=played.rows,
-            successes=successes,
-            success_rate=rate,
-            low=low,
-            high=high,
-            steps=steps,
+            episodes=len(played["length"]),
+            **_totals(listed),
             mean_return=float(played["return_"].mean()),
             planned_actions=float(played["planner_steps"].mean()),
             simulation_failures=int(played["diverged"].sum()),
@@ -113,12 +102,13 @@ class Result:
         )
 
 
-def _totals(outcomes: Mapping[str, Sequence[int]]) -> tuple[int, float, float, float, float | None]:
+def _totals(outcomes: Mapping[str, Sequence[int]]) -> dict[str, Any]:
     """Return the number of successes, their rate, its interval, and the mean steps to one."""
     success = np.array(outcomes["success"], bool)
     low, high = cluster_interval(outcomes["success"], outcomes["start"], outcomes["goal"])
     steps = float(np.array(outcomes["steps"])[success].mean()) if success.any() else None
-    return int(success.sum()), float(success.mean()), low, high, steps
+    rates = {"success_rate": float(success.mean()), "low": low, "high": high}
+    return {"successes": int(success.sum()), **rates, "steps": steps}
 
 
 @contextmanager
@@ -128,7 +118,8 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
     Raises:
         InvalidFile: it is no such file, or what is looked up in the block isn't there.
     """
-    try:
+    raised = ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError
+    with InvalidFile.instead(f"{path} isn't a file of `knotgym evaluate --out`", *raised):
         content = read_json(path)
         results, config = [from_json(Result, one) for one in content["results"]], content["config"]
         policies = [policy["policy"] for policy in config["policies"]]
@@ -136,9 +127,6 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
         if setups != [(one.policy, one.task, one.split, one.nx) for one in results]:
             raise ValueError("its results aren't those of its configuration's setups")
         yield content, results
-    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
-        what = f"{path} isn't a file of `knotgym evaluate --out`"
-        raise InvalidFile(f"{what}: {one_line(error)}") from error
 
 
 def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
@@ -192,5 +180,4 @@ def reference_scores() -> dict[str, Any]:
     Each has the `command` that measured it, and `cells`: by set-up, for example "tie-nx3", the mean
     returns of `random` and `expert`, and the number of `episodes`.
     """
-    found: dict[str, Any] = json.loads(_REFERENCES.read_text(encoding="utf-8"))
-    return found
+    return dict(json.loads(_REFERENCES.read_text(encoding="utf-8")))

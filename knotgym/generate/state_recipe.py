@@ -22,20 +22,24 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common import Stream, Table, as_json
 from knotgym.control import PassPlannerConfig, PolicyConfig, compile_planning, make_policy, rollouts
-from knotgym.datasets import STARTS, Episodes, MinariMetadata, finish, publish
+from knotgym.datasets import Episodes, MinariMetadata, finish, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.drawing_source import CALLS, drawn_rows, splits_of
 from knotgym.generate.generate_config import GenerateConfig
 from knotgym.generate.state_rows import ROWS, joined, states_of
 from knotgym.rope import CHAIN, MUJOCO
-from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compile_first, identity, run
+from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, run
 from knotgym.states import SOURCES, STATE_SPLITS, States, write_states
 from knotgym.topology import UNKNOT, diagram_of, type_of
 
 # Settings that only say when a run gives up. A run may be resumed with others.
 _PATIENCE = ("attempts", "demonstration_attempts")
 HORIZON = 200  # actions, more than any demonstration needs
-_STARTS = 8  # drawn states that episodes start from, in both splits together
+# drawn states that episodes start from, in both splits together
+_STARTS: dict[str, Any] = {
+    **{"source": "drawing", "count": 8, "every_code": 0, "codes": (), "train_share": 0.5},
+    "demonstrations": False,
+}
 # Episodes of a call, about. Few, because one that is hard takes long; but the chain engine steps
 # many ropes in little more time than one.
 _TOGETHER = {MUJOCO: 3, CHAIN: 12}
@@ -67,23 +71,18 @@ def make_states(
     asked = {name: value for name, value in as_json(config).items() if name not in _PATIENCE}
     made_by = identity(config, fields=asked)
     plan = compile_planning if config.demonstrations else None
-    return run(
-        lambda place: _state_recipe(config, place, made_by),
-        Path(out),
-        made_by,
-        options,
-        progress,
-        prepare=partial(compile_first, engine=config.engine_used, draws=True, plan=plan),
-    )
+    compiles = {"engine": config.engine_used, "draws": True, "plan": plan}
+    recipe = partial(_state_recipe, config, made_by)
+    return run(recipe, Path(out), made_by, options, progress, compiles=compiles)
 
 
-def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]) -> Recipe[str]:
+def _state_recipe(config: GenerateConfig, made_by: Mapping[str, Any], place: Path) -> Recipe[str]:
     """Make the folder `place`; return a summary.
 
     Args:
         config: which states to make.
-        place: a new folder, beside which files for the workers may be written.
         made_by: identity of the run, for the manifest.
+        place: a new folder, beside which files for the workers may be written.
     """
     report: dict[str, Any] = {
         "version": knotgym.__version__,
@@ -170,17 +169,8 @@ def _start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, N
         there = set(states.split[states.nx == crossings].tolist())
         if there == set(STATE_SPLITS) or (not crossings and not there):
             continue
-        starts = replace(
-            config,
-            nx=(crossings,),
-            count=_STARTS,
-            source="drawing",
-            engine=config.engine_used,
-            train_share=0.5,
-            every_code=0,
-            codes=(),
-            demonstrations=False,
-        )
+        own: dict[str, Any] = {"nx": (crossings,), "engine": config.engine_used}
+        starts = replace(config, **_STARTS, **own)
         others = [states.points, *(part["points"] for part in parts)]
         rows = yield from drawn_rows(starts, {}, others, f"drawing starts, {crossings}")
         parts.append(rows)
@@ -217,18 +207,13 @@ def _demonstrated(
         # Patient attempts take long, so the last goals get several at once; the first that reaches
         # a goal counts, as if the others had not been made.
         after = attempt + (max(1, CALLS // left) if attempt >= _HASTY else 1)
-        calls = [
-            Call(
-                f"demonstrations, attempt {number}: {nx} {split} {part[0]}",
-                _demonstrate,
-                (tasks[nx, split], config.seed, part.tolist(), number),
-                len(part),
-            )
-            for number in range(attempt, min(after, config.demonstration_attempts))
-            for (nx, split), rows in goals.items()
-            if rows
-            for part in np.array_split(rows, -(-len(rows) // size))
-        ]
+        calls = list[Call]()
+        for number in range(attempt, min(after, config.demonstration_attempts)):
+            for (nx, split), rows in goals.items():
+                for part in np.array_split(rows, -(-len(rows) // size)) if rows else ():
+                    name = f"demonstrations, attempt {number}: {nx} {split} {part[0]}"
+                    arguments = tasks[nx, split], config.seed, part.tolist(), number
+                    calls.append(Call(name, _demonstrate, arguments, len(part)))
         for result in (yield calls):
             episodes = Episodes.of(result)
             for k, goal in enumerate(episodes.episodes["goal"].tolist()):
@@ -257,9 +242,8 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
     for index, goal in enumerate(goals):
         own = Stream.DEMONSTRATED.derived_seed(seed, goal, attempt)
         batch.begin(ids[index : index + 1], [own], {"goal": goal})
-    schema = STARTS.sized(nq=batch.start_qpos.shape[1])
-    columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)
-    starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
+    rows = {"start": batch.start_row, "goal": batch.goal_row}
+    starts = Episodes.to_begin(batch.start_qpos, batch.seed, **rows)
     played = rollouts(make_policy(config), task, starts, attempt=attempt)
     return played.select(played.episodes["success"]).columns()
 

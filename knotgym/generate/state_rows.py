@@ -96,7 +96,7 @@ def with_report(rows: Sequence[Mapping[str, Any]], report: Any) -> Result:
     return {**stacked(rows), _REPORT: np.array(json.dumps(report))}
 
 
-def without_report(result: Result) -> tuple[Table, Any]:
+def report_of(result: Result) -> tuple[Table, Any]:
     """Return the rows and the report of a result."""
     columns = {name: column for name, column in result.items() if name != _REPORT}
     return Table(ROWS, columns), json.loads(str(result[_REPORT]))

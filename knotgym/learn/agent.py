@@ -48,6 +48,12 @@ _AIM_WORTH = 0.45  # least worth of a named point (`PositionBelief.aim`) to pull
 _MOST_PROBES, _PROBE_LIFT = 3, 0.6  # probes per episode; upward force of one, of the largest
 
 
+_READABLE = {  # settings of a task whose pictures the reader can read
+    **{"beads": BEADS, "views": "top", "depth": False, "camera": "orthographic"},
+    **{"appearance": "published", "image_size": SIZE, "hold": 1},
+}
+
+
 class PlannedPull(NamedTuple):
     """One step of a plan.
 
@@ -273,19 +279,11 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Tas
     Raises:
         InvalidPolicy: it doesn't.
     """
+    found = {**vars(task), "views": ",".join(task.views)}
     differing = [
-        f"{name} {given} instead of {needed}"
-        for name, given, needed in (
-            ("beads", task.beads, BEADS),
-            ("views", ",".join(task.views), "top"),
-            ("depth", task.depth, False),
-            ("camera", task.camera, "orthographic"),
-            ("appearance", task.appearance, "published"),
-            ("image_size", task.image_size, SIZE),
-            ("hold", task.hold, 1),
-            ("action", task.action, action),
-        )
-        if given != needed
+        f"{name} {found[name]} instead of {needed}"
+        for name, needed in {**_READABLE, "action": action}.items()
+        if found[name] != needed
     ]
     if differing:
         raise InvalidPolicy(

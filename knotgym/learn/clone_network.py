@@ -99,13 +99,10 @@ class CloneNetwork(nn.Module):
         self.inward = nn.Linear(_PATCH * (8 + _ARC_WIDTH), width)
         # learned, as the canonical frame gives bead 0 a meaning
         self.place = nn.Parameter(0.1 * torch.randn(BEADS // _PATCH, width))
-        self.body = nn.TransformerEncoder(
-            nn.TransformerEncoderLayer(
-                width, heads, 3 * width, dropout, "relu", batch_first=True, norm_first=True
-            ),
-            layers,
-            enable_nested_tensor=False,
+        layer = nn.TransformerEncoderLayer(
+            width, heads, 3 * width, dropout, "relu", batch_first=True, norm_first=True
         )
+        self.body = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
         self.norm = nn.LayerNorm(width)
         own = _BEAD_WIDTH
         self.outward = nn.Linear(width, _PATCH * own)
@@ -174,14 +171,9 @@ class CloneNetwork(nn.Module):
         beads, targets, sides = macros.unbind(1)
         side, works = self._sides(seen, beads[:, None], targets[:, None])
         strand = self._targets(seen, beads[:, None])[:, 0]
-        chosen = torch.stack(
-            [
-                _smoothed_loss(seen.logits, beads),
-                _smoothed_loss(strand, targets),
-                functional.cross_entropy(side[:, 0], sides, reduction="none"),
-            ],
-            dim=1,
-        )
+        led, passed = _smoothed_loss(seen.logits, beads), _smoothed_loss(strand, targets)
+        sided = functional.cross_entropy(side[:, 0], sides, reduction="none")
+        chosen = torch.stack([led, passed, sided], dim=1)
         # choices that didn't work are imitated by nobody: they only teach the last head
         chance = worked.float()[:, None]
         working = functional.binary_cross_entropy_with_logits(

@@ -46,9 +46,10 @@ class CloneTraining(Training):
         super().__init__(network, config.rate, _DECAY, config.steps)
         self._config, held = config, _held_out(data.episodes, config.seed)
         aside, fitted = np.flatnonzero(held), np.flatnonzero(~held)
-        self._fitted = _tensors(data.rows(fitted), config.device)
+        self._fitted = _tensors(data, fitted, config.device)
         # evenly spread over the held-out decisions, so that every episode counts
-        self._aside = _tensors(data.rows(aside[:: len(aside) // _JUDGED + 1]), config.device)
+        judged = aside[:: len(aside) // _JUDGED + 1]
+        self._aside = _tensors(data, judged, config.device)
         self._average, self._best = (_copied(network.state_dict()) for _ in range(2))
         self._least = torch.full((1,), math.inf, dtype=torch.float64)
         self._facts = {
@@ -62,7 +63,7 @@ class CloneTraining(Training):
         own = {"average": self._average, "best": self._best, "judged": {"least": self._least}}
         return {**super()._parts(), **own}
 
-    def advance(self) -> None:
+    def _advance(self) -> None:
         """Train up to the next multiple of `save_every` steps; then judge the averaged weights."""
         config, losses = self._config, list[Tensor]()
         self.network.train()
@@ -89,7 +90,7 @@ class CloneTraining(Training):
             self._best = _copied(self._average)
         self.losses.append((self.step, torch.stack(losses).mean().item(), judged))
 
-    def ended(self) -> Trained:
+    def _ended(self) -> Trained:
         """Return the network with the averaged weights of least held-out loss."""
         step, _, loss = min(self.losses, key=lambda row: row[2])
         kept, steps = int(step), self._config.steps
@@ -111,8 +112,8 @@ def _held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
     return np.isin(episodes, rng.permutation(numbers)[: round(_HELD_OUT * len(numbers))])
 
 
-def _tensors(data: Examples, device: str) -> list[Tensor]:
-    return [torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in data[:6]]
+def _tensors(data: Examples, rows: NDArray[np.int64], device: str) -> list[Tensor]:
+    return [torch.from_numpy(one[rows]).to(device) for one in data[:6]]
 
 
 def _loss(network: CloneNetwork, data: Sequence[Tensor]) -> Tensor:

@@ -133,12 +133,9 @@ class Reader(nn.Module):
         """Create networks with fresh weights, which the seed determines."""
         super().__init__()
         # `join`: x and y, READINGS heights and READINGS logits; `correct`: x, y and height
-        self.join, self.correct = (
-            _initialize(
-                BeadNetwork(INPUTS, outputs, width, (1, 2, 4, 8, 1, 2, 4, 8)), 2 * seed + own
-            )
-            for own, outputs in enumerate((2 + 2 * READINGS, 3))
-        )
+        sizes = (2 + 2 * READINGS, 3)
+        made = [BeadNetwork(INPUTS, outputs, width, 2 * (1, 2, 4, 8)) for outputs in sizes]
+        self.join, self.correct = (_initialize(one, 2 * seed + k) for k, one in enumerate(made))
 
     def signature(self) -> Tensor:
         """Return what both networks make of a ring in the rope's colours."""
@@ -185,9 +182,8 @@ class Reader(nn.Module):
                 without a past.
         """
         out = self._run(self.correct, seen, guesses, moves)
-        vertices = torch.from_numpy(guesses).float() + out * torch.tensor(
-            [_OFF_SCALE * PIXEL, _OFF_SCALE * PIXEL, _HEIGHT_SCALE]
-        )
+        scales = torch.tensor([_OFF_SCALE * PIXEL, _OFF_SCALE * PIXEL, _HEIGHT_SCALE])
+        vertices = torch.from_numpy(guesses).float() + out * scales
         return vertices - vertices.mean(dim=1, keepdim=True)
 
     def read(self, picture: NDArray[np.uint8]) -> tuple[Array, Array]:

@@ -46,7 +46,7 @@ class ReaderTraining(Training):
         super().__init__(Reader(seed=config.seed), _RATE, _DECAY, config.steps)
         self._data, self._config, self._chain = data, config, ChainSimulation(config.batch)
 
-    def advance(self) -> None:
+    def _advance(self) -> None:
         """Take one optimizer step."""
         count = self._config.batch
         rng = Stream.LEARN_PICTURES.generator(self._config.seed, self.step)
@@ -62,7 +62,7 @@ class ReaderTraining(Training):
         self._minimize(first + second)
         self.losses.append((self.step, first.item(), second.item()))
 
-    def ended(self) -> Trained:
+    def _ended(self) -> Trained:
         """Return the reader and start positions of ropes, drawn from those of the data."""
         data, config = self._data, self._config
         drawn = Stream.LEARN_PLACES.generator(config.seed).permutation(len(data.starts))

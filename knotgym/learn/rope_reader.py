@@ -138,11 +138,8 @@ def _link(points: Array) -> tuple[Integers, Array]:
         int64 (2 n,), the end that each end is linked to, -1 for none; float64 (2 n,), the costs.
     """
     n = len(points)
-    first, second, costs = (
-        np.empty(120 * n + 1, np.int64),
-        np.empty(120 * n + 1, np.int64),
-        np.empty(120 * n + 1),
-    )
+    most = 120 * n + 1
+    first, second, costs = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
     m = 0
     for a in range(n):
         for b in range(a + 1, n):

@@ -5,7 +5,6 @@ them; a training that is interrupted continues from its one checkpoint.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,24 +22,9 @@ from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import Training, draw_curve, fit
-from knotgym.learn.training_data import (
-    TOGETHER,
-    Examples,
-    decisions_of,
-    demonstrate,
-    states_and_pulls,
-)
+from knotgym.learn.training_data import TOGETHER, Examples, TrainingData, demonstrate
 from knotgym.rope import CHAIN, RopeConfig
-from knotgym.runs import (
-    Call,
-    Progress,
-    Recipe,
-    RunOptions,
-    checkpoint_of,
-    compile_first,
-    identity,
-    run,
-)
+from knotgym.runs import Call, Progress, Recipe, RunOptions, identity, run
 
 
 def train(
@@ -74,7 +58,8 @@ def train(
     opened = [columns_of(one) for one in datasets]
     for one in opened:
         _require_trainable(one)
-    if not opened and not getattr(config, "demonstrations", 0):
+    demonstrations = getattr(config, "demonstrations", 0)
+    if not opened and not demonstrations:
         raise InvalidInput(
             "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
             " made for a clone, as in --set clone.demonstrations=1000"
@@ -97,16 +82,13 @@ def train(
 
     def _recipe(place: Path) -> Recipe[str]:
         training = yield from _training(opened, config)
-        fit(training, checkpoint_of(place), config.save_every, progress)
-        made = training.ended()
+        made = fit(training, place, config.save_every, progress)
         save_network(place, made.network, training.LEARNER, {**card, **made.facts}, made.others)
         draw_curve(place, training.LOSSES, training.losses, made.kept)
         return made.summary
 
-    prepare = None
-    if getattr(config, "demonstrations", 0):
-        prepare = partial(compile_first, engine=CHAIN)
-    return run(_recipe, out, whole, options, progress, prepare=prepare, identity_in=CARD)
+    compiles = {"engine": CHAIN} if demonstrations else None
+    return run(_recipe, out, whole, options, progress, compiles=compiles, identity_in=CARD)
 
 
 def _require_trainable(dataset: EpisodeDataset) -> None:
@@ -153,7 +135,7 @@ def _training(
     if isinstance(config, ReaderConfig):
         # a recipe yields calls at least once; this one has none to make
         yield []
-        return ReaderTraining(states_and_pulls([one.episodes for one in opened]), config)
+        return ReaderTraining(TrainingData.of([one.episodes for one in opened]), config)
     parts, count = list[Examples](), 0
     for one in opened:
         if "macro_start" not in one.episodes.steps:
@@ -161,19 +143,15 @@ def _training(
                 f"{one.name} doesn't say which macro-actions its policy chose, so the clone can't"
                 " learn them; use a set of expert or noisy"
             )
-        parts.append(decisions_of(one.episodes, count))
+        parts.append(Examples.of(one.episodes, count))
         count += one.episodes.episodes.rows
-    made = yield [
-        Call(
-            f"demonstrations of {task} {nx} {first}",
-            demonstrate,
-            (config, task, nx, first),
-            min(TOGETHER, config.demonstrations - first),
-        )
-        for task, nx in product(config.task, config.nx)
-        for first in range(0, config.demonstrations, TOGETHER)
-    ]
-    for own in (Examples(**columns) for columns in made):
+    calls = list[Call]()
+    for task, nx in product(config.task, config.nx):
+        for first in range(0, config.demonstrations, TOGETHER):
+            few = min(TOGETHER, config.demonstrations - first)
+            name, arguments = f"demonstrations of {task} {nx} {first}", (config, task, nx, first)
+            calls.append(Call(name, demonstrate, arguments, few))
+    for own in (Examples(**columns) for columns in (yield calls)):
         # searches are numbered from 0 for each task and nx
         # unique over all parts: held-out episodes are drawn by their numbers
         parts.append(own._replace(episodes=own.episodes % TOGETHER + count))

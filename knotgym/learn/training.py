@@ -24,7 +24,7 @@ from safetensors.torch import load, save
 from torch import Tensor, nn
 
 from knotgym.common import InvalidFile, atomic_write, one_line, require_regular
-from knotgym.runs import Progress
+from knotgym.runs import Progress, checkpoint_of
 
 # chosen without comparison; learners that exist don't depend on them, their scores in
 # docs/benchmark.md are of these
@@ -74,11 +74,11 @@ class Training(ABC):
         self.step, self.losses = 0, list[tuple[float, float, float]]()
 
     @abstractmethod
-    def advance(self) -> None:
+    def _advance(self) -> None:
         """Take one step or several."""
 
     @abstractmethod
-    def ended(self) -> Trained:
+    def _ended(self) -> Trained:
         """Return what all steps led to."""
 
     def _minimize(self, loss: Tensor) -> None:
@@ -146,24 +146,24 @@ class Training(ABC):
             ) from error
 
 
-def fit(training: Training, path: Path, save_every: int, progress: Progress) -> None:
+def fit(training: Training, place: Path, save_every: int, progress: Progress) -> Trained:
     """Run a training to its end, continuing from its checkpoint if there is one.
 
     Args:
         training: that hasn't begun.
-        path: of the checkpoint.
+        place: where the output is made, see `checkpoint_of`.
         save_every: steps between checkpoints.
         progress: where to show it.
     """
-    if path.exists():
+    if (path := checkpoint_of(place)).exists():
         training._restore(path)
-
     while training.step < training.steps:
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
         progress.stage(f"training the {training.NAME}", training.step, training.steps, facts)
-        training.advance()
+        training._advance()
         if training.step % save_every == 0 or training.step == training.steps:
             training._save(path)
+    return training._ended()
 
 
 def draw_curve(

@@ -9,6 +9,7 @@ code, and the code that it ends in, read from there.
 """
 
 from collections.abc import Generator, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -60,6 +61,20 @@ class TrainingData(NamedTuple):
     forces: NDArray[np.float32]
     starts: NDArray[np.int64]
 
+    @classmethod
+    def of(cls, sets: Sequence[Episodes]) -> "TrainingData":
+        """Return the states and pulls of sets of episodes."""
+        parts, before = list[TrainingData](), 0
+        for one in sets:
+            steps, starts = one.steps, one.offsets[:-1]
+            # a row holds the pull made in its state; here it belongs to the state that it led to
+            beads = np.roll(steps["bead"].astype(np.int64), 1)
+            forces = np.roll(steps["force"] * steps["applied_fraction"][:, None], 1, axis=0)
+            beads[starts] = -1
+            parts.append(cls(steps["observation"], beads, forces, before + starts))
+            before += steps.rows
+        return cls(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+
 
 class Examples(NamedTuple):
     """n decisions in the canonical frame, in few bytes.
@@ -80,9 +95,24 @@ class Examples(NamedTuple):
     worked: NDArray[np.bool_]
     episodes: NDArray[np.int64]
 
-    def rows(self, index: NDArray[Any]) -> "Examples":
-        """Return some of the examples."""
-        return Examples(*(column[index] for column in self))
+    @classmethod
+    def of(cls, one: Episodes, first: int = 0) -> "Examples":
+        """Return the passes of a set of episodes; the numbers of episodes begin at `first`."""
+        steps, episodes = one.steps, one.episodes
+        # other macro-actions, which the scripted policy has too, pass no strand
+        beads = steps["observation"].shape[1]
+        passes = (steps["macro_side"] != 0) & (steps["macro_target"] < beads)
+        # the first pull of each: there the policy saw the state and chose
+        chosen = np.flatnonzero(steps["macro_start"] & passes)
+        number = one.episode_of()[chosen]
+        macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
+        return _examples(
+            steps["observation"][chosen],
+            CodeArrays(np.asarray(episodes["goal_visits"][number], np.int16)).objects(),
+            np.stack(macros, axis=1).astype(np.int64),
+            episodes["success"][number],
+            first + number,
+        )
 
 
 def _examples(
@@ -106,50 +136,12 @@ def _examples(
     return Examples(seen.points.astype(np.float16), marks, code, goal, small, worked, episodes)
 
 
-def states_and_pulls(sets: Sequence[Episodes]) -> TrainingData:
-    """Return the states and pulls of sets of episodes."""
-    parts, before = list[TrainingData](), 0
-    for one in sets:
-        steps, starts = one.steps, one.offsets[:-1]
-        # a row holds the pull made in its state; here it belongs to the state that it led to
-        beads = np.roll(steps["bead"].astype(np.int64), 1)
-        forces = np.roll(steps["force"] * steps["applied_fraction"][:, None], 1, axis=0)
-        beads[starts] = -1
-        parts.append(TrainingData(steps["observation"], beads, forces, before + starts))
-        before += steps.rows
-    return TrainingData(*(np.concatenate(own) for own in zip(*parts, strict=True)))
-
-
-def decisions_of(one: Episodes, first: int = 0) -> Examples:
-    """Return the passes of a set of episodes; the numbers of episodes begin at `first`."""
-    steps, episodes = one.steps, one.episodes
-    # other macro-actions, which the scripted policy has too, pass no strand
-    passes = (steps["macro_side"] != 0) & (steps["macro_target"] < steps["observation"].shape[1])
-    # the first pull of each: there the policy saw the state and chose
-    chosen = np.flatnonzero(steps["macro_start"] & passes)
-    number = one.episode_of()[chosen]
-    macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
-    return _examples(
-        steps["observation"][chosen],
-        CodeArrays(np.asarray(episodes["goal_visits"][number], np.int16)).objects(),
-        np.stack(macros, axis=1).astype(np.int64),
-        episodes["success"][number],
-        first + number,
-    )
-
-
 def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     """Search ways in some starts of a task; return the columns of `Examples`."""
     numbers = range(first, min(first + TOGETHER, config.demonstrations))
     place = config.task.index(task), nx
-    setup = TaskConfig(
-        task=task,
-        nx=nx,
-        split=config.split,
-        states=config.states,
-        observation="state",
-        engine="chain",
-    )
+    setup = TaskConfig(task=task, nx=nx, split=config.split, states=config.states)
+    setup = replace(setup, observation="state", engine="chain")
     seeds = [Stream.DEMONSTRATION.derived_seed(config.seed, *place, k) for k in numbers]
     batch, ids = EpisodeBatch(setup, len(seeds)), np.arange(len(seeds))
     batch.begin(ids, seeds)

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -26,19 +27,7 @@ _FRAMES = 30  # shown per second
 _LOOP = "plain loop"  # for an empty code
 _LIFT = 0.03  # metres above or below the rope's middle height at which a drag leads a bead
 _FARTHEST = 100.0  # scene units from the origin at which a drag is read
-_KEYS = """
-**Drag** a bead to pull it; **shift**: over, **alt**: under what lies in the way. Drag the
-background to turn, scroll to zoom.
-
-| key | | key | |
-| --- | --- | --- | --- |
-| `Z` | undo | `P` | one pull by the policy |
-| `R` | reset | `V` | view from above |
-| `N` | next start | `O` `U` | pull it over, under |
-| `B` `F` | select the bead before, after | `I` `J` `K` `L` | pull it up, left, down, right |
-
-`W` `A` `S` `D` and the arrows move the camera.
-"""
+_KEYS = (files("knotgym.play") / "keys.md").read_text("utf-8")
 
 
 class HandTab:

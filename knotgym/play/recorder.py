@@ -141,14 +141,9 @@ class Recorder:
         whole = Episodes.to_repeat(np.array([len(pulls)]), own, self._policy)
         played = replay(whole, self._task, [self._seed_of(number)])
         there = [open_episodes(self.folder).episodes] if self.folder.exists() else []
-        publish(
-            [*there, played],
-            self._task,
-            self._metadata,
-            self._root,
-            states=None if is_bundled(self._task.states) else resolve_states(self._task.states),
-            overwrite=bool(there),
-        )
+        named, about, root = self._task.states, self._metadata, self._root
+        states, replaces = None if is_bundled(named) else resolve_states(named), bool(there)
+        publish([*there, played], self._task, about, root, states=states, overwrite=replaces)
         self._seeds.add(self._seed_of(number))
 
     def _seed_of(self, number: int) -> int:

@@ -20,6 +20,7 @@ SCALE = 10.0  # scene units per metre
 _LATITUDES, _SIDES = 7, 10  # of a bead's drawn capsule
 _HEIGHT = 4.5  # scene units above the rope from which viser's camera, of 75 degrees, sees all
 _NARROW = 0.8  # width by height of a tab, below which it is a phone's
+_FLAT: dict[str, Any] = {"lod": "off", "cast_shadow": False, "receive_shadow": False}
 _GRIP = 3.0  # radius within which a finger takes a bead on a phone, in rope radii
 
 
@@ -59,9 +60,7 @@ class RopeScene:
             middles,
             batched_colors=bead_colours(len(points)),
             opacity=opacity,
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
+            **_FLAT,
         )
 
     def look_from_above(self, points: Array) -> None:

@@ -17,6 +17,7 @@ import re
 import threading
 import urllib.request
 from collections import Counter
+from importlib.resources import files
 from typing import Annotated, Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -34,21 +35,16 @@ _SECRET = 8  # length from which a key is treated as a secret, characters
 _UNSENT = ("openai-organization", "openai-project", "authorization")
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")  # never reached through a proxy
 _OURS = ("model", "messages", "stream")  # fields of a request that aren't `extra`
+# printable ASCII: scheme, host, port and path
+_URL = re.compile(
+    r"(?=[!-~]+$)https?://(\[[0-9a-f:.]+\]|[^][:/?#@]+)(:[1-9]\d{0,4})?(/[^?#]*)?", re.IGNORECASE
+)
 # HTTP statuses of a request that the server won't answer, while it may answer others: a filter of
 # its content, a context that is too long, pictures that are too large
 _REJECTING = (400, 413, 422, 451)
 _MODERATED = re.compile("moderat|flagged|content.?(filter|polic)", re.IGNORECASE)
 # as models are known to mark what they think before they answer
-_DRAFTS = (
-    "<think>...</think>",
-    "<thinking>...</thinking>",
-    "<thought>...</thought>",
-    "<reasoning>...</reasoning>",
-    "<seed:think>...</seed:think>",
-    "[THINK]...[/THINK]",
-    "◁think▷...◁/think▷",
-    "<|channel|>analysis<|message|>...<|channel|>final<|message|>",
-)
+_DRAFTS = tuple((files("knotgym.prompting") / "drafts.txt").read_text("utf-8").split())
 
 
 def _read_extra(value: Any) -> Any:
@@ -86,14 +82,7 @@ class ChatConfig:
     def __post_init__(self) -> None:
         if not self.model.strip():
             raise InvalidInput("name the model to ask: --model NAME")
-        try:
-            parts = urlsplit(self.base_url)
-            fits = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
-            fits = fits and re.fullmatch(r"[!-~]+", self.base_url) is not None  # printable ASCII
-            bare = "@" not in parts.netloc and not parts.query and not parts.fragment
-        except ValueError:
-            fits = bare = False
-        if not (fits and bare):  # the message doesn't repeat the URL, which may contain a key
+        if not _URL.fullmatch(self.base_url):  # the message doesn't repeat it: it may hold a key
             raise InvalidInput(
                 "the base URL must be http://HOST/PATH or https://HOST/PATH, without user, password"
                 f" or query; set the key in the environment, as {KEY}"

@@ -28,18 +28,7 @@ from knotgym.datasets import encode
 from knotgym.envs import EpisodeBatch
 from knotgym.prompting.answers import read_actions, read_code
 from knotgym.prompting.chat import Chat
-from knotgym.prompting.prompts import (
-    OPEN,
-    READ,
-    STATEFUL,
-    TEXTS,
-    Picture,
-    PromptConfig,
-    Turn,
-    messages,
-    opening,
-    reading,
-)
+from knotgym.prompting.prompts import TEXTS, Picture, PromptConfig, Turn, messages, opening, reading
 from knotgym.prompting.transcripts import FILE, TOKENS, line, reading_scores, summarize, total
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, run
 
@@ -160,7 +149,7 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
     playing, turns = ids, 0
     while len(playing):
         numbers = playing.tolist()
-        if config.mode != OPEN or not turns:
+        if config.mode != "open" or not turns:
             nows = _pictures(batch, playing, config)
             requests = [
                 (number, messages(befores[number], windows[number], config.mode, most, now))
@@ -170,7 +159,7 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
             turns += 1
             for number, now, reply in zip(numbers, nows, replies, strict=True):
                 text = "" if reply["fault"] else reply["text"]
-                actions, fault = read_actions(text, most if config.mode == OPEN else 1)
+                actions, fault = read_actions(text, most if config.mode == "open" else 1)
                 turn = {
                     "step": len(episodes[number]["actions"]),
                     "picture": now.sha256,
@@ -180,7 +169,7 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
                 }
                 episodes[number]["turns"].append(turn)
                 queued[number] = [*actions]
-                if config.mode == STATEFUL:
+                if config.mode == "stateful":
                     windows[number] = [*windows[number], Turn(now, reply["text"])][-config.window :]
         # float32, as in policies, so that a replay is the same to the bit
         chosen = [queued[n].pop(0) if queued[n] else _NO_OP for n in numbers]
@@ -205,16 +194,9 @@ def _read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> 
     for number, (row, picture, reply) in enumerate(zip(rows, pictures, replies, strict=True)):
         code, fault = read_code("" if reply["fault"] else reply["text"])
         truth = {name: row[name] for name in ("gauss_code", "nx", "grade", "accepted")}
-        transcripts.append(
-            {
-                "number": number,
-                "config": _flat(config),
-                "picture": picture.sha256,
-                **truth,
-                **_answer(reply, fault),
-                "read": None if code is None else str(code),
-            }
-        )
+        own = {"number": number, "config": _flat(config), "picture": picture.sha256}
+        read = {"read": None if code is None else str(code)}
+        transcripts.append(own | truth | _answer(reply, fault) | read)
     return transcripts
 
 
@@ -232,7 +214,7 @@ def _flat(config: PromptConfig) -> dict[str, Any]:
     """Convert settings to the JSON of a transcript; in mode read, without the task."""
     fields = as_json(config)
     del fields["side_by_side"]
-    if config.mode == READ:
+    if config.mode == "read":
         del fields["task"]
     return fields
 

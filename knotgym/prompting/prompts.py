@@ -26,7 +26,7 @@ from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 
 MODES = ("open", "stateless", "stateful", "read")
-OPEN, STATELESS, STATEFUL, READ = MODES
+
 
 _FOLDER = files("knotgym.prompting")
 TEXTS = tomllib.loads((_FOLDER / "prompts.toml").read_text("utf-8"))
@@ -51,7 +51,7 @@ class PromptConfig:
         side_by_side: concurrent requests to the server; makes no difference to them.
     """
 
-    mode: Annotated[str, choice(*MODES)] = STATELESS
+    mode: Annotated[str, choice(*MODES)] = "stateless"
     chat: ChatConfig
     task: TaskConfig = TaskConfig(task="tie", image_size=256)
     episodes: PositiveInt = 100
@@ -105,7 +105,7 @@ def opening(goal: Picture) -> list[Part]:
 
 def _turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
     """Return the parts of one turn; `most` is the maximum number of actions."""
-    question = TEXTS["open_question" if mode == OPEN else "step_question"]
+    question = TEXTS["open_question" if mode == "open" else "step_question"]
     return [now.caption, now, str(question.format(most=most))]
 
 
@@ -137,15 +137,11 @@ def messages(
 
 def _message(parts: Sequence[Part]) -> dict[str, Any]:
     """Build a user message of the chat-completions protocol."""
-    content = [
-        {"type": "text", "text": part}
-        if isinstance(part, str)
-        else {
-            "type": "image_url",
-            "image_url": {
-                "url": f"data:image/png;base64,{base64.b64encode(part.png).decode('ascii')}"
-            },
-        }
-        for part in parts
-    ]
-    return {"role": "user", "content": content}
+    return {"role": "user", "content": [*map(_content, parts)]}
+
+
+def _content(part: Part) -> dict[str, Any]:
+    if isinstance(part, str):
+        return {"type": "text", "text": part}
+    url = f"data:image/png;base64,{base64.b64encode(part.png).decode('ascii')}"
+    return {"type": "image_url", "image_url": {"url": url}}

@@ -17,7 +17,7 @@ from annotated_types import Predicate
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
-from knotgym.common import InvalidFile, MissingFile, one_line
+from knotgym.common import InvalidFile, MissingFile
 from knotgym.quality import GRADES
 from knotgym.runs import cluster_interval
 from knotgym.topology import GaussCode
@@ -126,20 +126,16 @@ def _read_transcripts(path: Path) -> list[dict[str, Any]]:
         raise MissingFile(f"no transcripts at {path}")
     if path.stat().st_size > _MOST_BYTES:
         raise InvalidFile(f"{path} is larger than {_MOST_BYTES} bytes; split it")
-    try:
+    with InvalidFile.instead(f"{path} isn't UTF-8 text", UnicodeDecodeError):
         text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InvalidFile(f"{path} isn't UTF-8 text: {one_line(error)}") from error
     lines = text.removesuffix("\n").split("\n")
     return [_checked(one, f"{path}, line {number}") for number, one in enumerate(lines, 1)]
 
 
 def _checked(text: str, where: str) -> dict[str, Any]:
     """Parse a line and check every field that is read later."""
-    try:
+    with InvalidFile.instead(f"{where} isn't JSON", ValueError, RecursionError):
         found = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(f"{where} isn't JSON: {one_line(error)}") from error
     if not isinstance(found, dict):
         raise InvalidFile(f"{where} isn't a transcript but {str(found)[:40]}")
     name, version = found.get("format"), found.get("format_version")

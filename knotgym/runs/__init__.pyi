@@ -11,6 +11,6 @@ from .runner import Call as Call
 from .runner import Recipe as Recipe
 from .runner import checkpoint_of as checkpoint_of
 from .runner import compute as compute
-from .runner import require_no_interrupted_run as require_no_interrupted_run
+from .runner import require_free as require_free
 from .runner import run as run
 from .runner import staged as staged

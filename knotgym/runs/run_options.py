@@ -3,7 +3,6 @@
 This module has no slow imports, because the command line reads options first.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -45,14 +44,6 @@ class Shard:
     def is_whole(self) -> bool:
         """Whether this is the only shard."""
         return self.of == 1
-
-    def dealt(self, things: Sequence[Any]) -> Sequence[Any]:
-        """Return every `of`-th item, from this shard's first.
-
-        >>> [Shard(number, 3).dealt(range(8)) for number in (1, 2, 3)]
-        [range(0, 8, 3), range(1, 8, 3), range(2, 8, 3)]
-        """
-        return things[self.number - 1 :: self.of]
 
     def journal(self, out: Path) -> Path:
         """Return the journal that this shard leaves beside the output `out` of the whole run."""

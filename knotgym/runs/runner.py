@@ -39,7 +39,7 @@ from knotgym.common import (
     require_own,
     sweep,
 )
-from knotgym.runs.executors import InProcess, executor
+from knotgym.runs.executors import InProcess, compile_first, executor
 from knotgym.runs.identities import Identity, identity_of
 from knotgym.runs.journal import CHECKPOINT, LEFT, Journal, Result, has_work
 from knotgym.runs.progress import Progress
@@ -111,7 +111,7 @@ def compute(
         except StopIteration as end:
             output: Output = end.value
             return output
-        _complete(shard.dealt(calls), memo, pool or InProcess(), _show)
+        _complete(calls[shard.number - 1 :: shard.of], memo, pool or InProcess(), _show)
         missing = [index for index, call in enumerate(calls) if call.key not in memo]
         if missing:
             recipe.close()
@@ -135,7 +135,7 @@ def run(
     progress: Progress | None = None,
     *,
     is_folder: bool = True,
-    prepare: Callable[[Progress, Executor], None] | None = None,
+    compiles: Mapping[str, Any] | None = None,
     pool: Callable[[], AbstractContextManager[Executor]] | None = None,
     count: Count | None = None,
     identity_in: str | Callable[[Path], Any] = "manifest.json",
@@ -148,7 +148,7 @@ def run(
             calls need may be written beside it.
         identity: everything that determines the output, see `identities.identity`; none of the
             files that are read is ever replaced, and a change of one stops the publication.
-        prepare: called with the executor before the work, for example to compile kernels.
+        compiles: keywords of `compile_first`, which is called before the work; None for nothing.
         pool: opens the executor; by default that of the options.
         count: as in `compute`.
         identity_in: the JSON file in a folder that holds the identity of its run, or what reads
@@ -180,8 +180,8 @@ def run(
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
             place = folder / "made" / out.name
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
-                if prepare is not None:
-                    prepare(shown, workers)
+                if compiles is not None:
+                    compile_first(shown, workers, **compiles)
                 try:
                     summary = compute(recipe(place), journal, workers, shard, shown, count)
                 except _Missing as missing:
@@ -263,10 +263,22 @@ def _shard_journals(out: Path) -> list[Path]:
     return sorted(path for path in out.parent.glob(pattern) if path.is_dir())
 
 
-def require_no_interrupted_run(out: Path, existing: Existing, shard: Shard = WHOLE) -> None:
-    """Raise Occupied if an interrupted run left work, unless `existing` says what to do with it."""
+def require_free(out: Path, options: RunOptions, hint: str) -> None:
+    """Raise Occupied if the folder `out`, or the work of an interrupted run, is in the way.
+
+    Args:
+        out: what a run would make.
+        options: of the run, which may say what to do with what is there.
+        hint: added to what is said of the folder.
+    """
+    shard = options.shard
+    if not options.resume and shard.is_whole:
+        try:
+            require_output(out, folder=True, overwrite=options.overwrite, reads=[])
+        except Occupied as error:
+            raise Occupied(f"{error}{hint}") from None
     path = _staging_folder(out) / "journal" if shard.is_whole else shard.journal(out)
-    if not (existing.resume or existing.restart) and has_work(path):
+    if not (options.resume or options.restart) and has_work(path):
         raise Occupied(LEFT.format(path))
 
 

@@ -15,7 +15,7 @@ from synthetic_pictures import picture_rows
 from knotgym.cli import main
 from knotgym.common import InvalidFile
 from knotgym.datasets import columns_of, locate, open_episodes, write_episodes
-from knotgym.datasets.image_table import parquet, record, table_of
+from knotgym.datasets.image_table import _record, parquet
 from knotgym.datasets.subsets import merge
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
@@ -53,14 +53,14 @@ def rows() -> list[dict[str, Any]]:
     """Rows of three pictures."""
     pytest.importorskip("pyarrow")
     ropes = read_states(shipped(), images=False).points[[20, 70, 120]]
-    return [record(row, AppearanceConfig(sizes=(64,))) for row in picture_rows(ropes)]
+    return [_record(row, AppearanceConfig(sizes=(64,))) for row in picture_rows(ropes)]
 
 
 @pytest.mark.parametrize("command", [*COMMANDS])
 def test_cut_shards_are_refused(
     command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: Capture
 ) -> None:
-    whole = parquet(table_of(rows))
+    whole = parquet(rows)
     (tmp_path / "cut.parquet").write_bytes(whole[: len(whole) // 2])
     assert "isn't a whole Parquet shard" in refused(command, tmp_path / "cut.parquet", capfd)
 
@@ -71,7 +71,7 @@ def test_pictures_that_hold_infinity_are_one_line(
 ) -> None:
     spoilt = rows[1] | {"points": [float("inf"), *rows[1]["points"][1:]]}
     path = tmp_path / "a.parquet"
-    path.write_bytes(parquet(table_of([rows[0], spoilt, rows[2]])))
+    path.write_bytes(parquet([rows[0], spoilt, rows[2]]))
     assert re.search("inf|finite", refused(command, path, capfd))
 
 

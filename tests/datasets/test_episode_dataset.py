@@ -14,8 +14,8 @@ from synthetic_episodes import TASK, episodes, written
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Table, sha256
 from knotgym.datasets import RECORDED, Episodes
 from knotgym.datasets.episode_dataset import (
+    _digests_of,
     columns_of,
-    digests_of,
     episode_file,
     open_episodes,
     write_episodes,
@@ -104,7 +104,7 @@ def test_the_digest_follows_the_pulls_alone() -> None:
     moved = made.steps["observation"] + 1
     force = made.steps["force"] / 2
     digests = [
-        digests_of([made._replace(steps=made.steps.replaced(**changed))])["digest"]
+        _digests_of([made._replace(steps=made.steps.replaced(**changed))])["digest"]
         for changed in ({}, {"observation": moved}, {"force": force})
     ]
     assert digests[0] == digests[1] != digests[2]

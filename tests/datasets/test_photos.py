@@ -17,7 +17,7 @@ from knotgym.datasets.exports import export
 from knotgym.datasets.image_table import decode, drawn_table, parquet, read_rows
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import _page_data, _page_html
-from knotgym.datasets.row_verification import _picture_faults, _redrawn
+from knotgym.datasets.row_verification import _picture_faults
 from knotgym.rendering import AppearanceConfig, Drawer
 from knotgym.states import read_states, shipped
 
@@ -44,7 +44,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_photo_and_its_answers_are_taken_again_from_its_row(rows: list[dict[str, Any]]) -> None:
     for row in rows:
-        again = _redrawn(np.reshape(row["points"], (-1, 3)), row)
+        drawer = Drawer.of(row["appearance"]["name"])
+        again = drawer.drawn(np.reshape(row["points"], (-1, 3)), drawer.read(row))
         assert np.array_equal(decode(row["image"]), again.image)
         assert np.array_equal(decode(row["strands"])[..., 0], again.columns["strands"])
         assert [*_picture_faults(dict(row))] == []

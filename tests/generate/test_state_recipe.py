@@ -174,7 +174,7 @@ def test_several_calls_draw_the_last_codes_and_more_attempts_give_what_they_woul
     monkeypatch: Patch,
 ) -> None:
     config = replace(DRAWN, nx=(1,), every_code=0, count=3, attempts=30)
-    ((stubborn, wanted),) = WantedCodes(config, 1).lacking().most_common(1)
+    ((stubborn, wanted),) = WantedCodes(config, 1)._lacking().most_common(1)
     made, real = list[tuple[int, int]](), drawing_source._drawn
 
     def picky(config: GenerateConfig, order: Any, number: int, *rest: Any) -> Any:

@@ -15,7 +15,7 @@ from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.clone_policy import _choose_macros, load_clone
-from knotgym.learn.training_data import Examples, decisions_of, demonstrate
+from knotgym.learn.training_data import Examples, demonstrate
 from knotgym.rope import ChainSimulation, WaypointFollower
 from knotgym.states import States
 from knotgym.topology import GaussCode, label_many
@@ -67,7 +67,7 @@ def test_pictures_are_enough_to_choose_but_name_no_position(clone: Path) -> None
 
 
 def test_decisions_of_failed_episodes_are_judged_but_not_imitated(played: Episodes) -> None:
-    own = decisions_of(played, first=7)
+    own = Examples.of(played, first=7)
     assert {*own.episodes[own.worked].tolist()} == {7, 8}
     assert {*own.episodes[~own.worked].tolist()} == {9}
     losses = CloneNetwork(16, 1).loss(
@@ -101,7 +101,8 @@ def test_examples_lead_where_they_say_in_any_frame_and_numbering() -> None:
     config = replace(CLONE, demonstrations=24, copies=3, nx=(1,), states="bench")
     data = Examples(**demonstrate(config, "tie", 1, 0))
     kinks = np.count_nonzero(data.goal[:, :, 0], axis=1) == 2  # visits of the goal
-    one = data.rows(np.flatnonzero(kinks & (data.code[:, 0, 0] == 0)))
+    chosen = np.flatnonzero(kinks & (data.code[:, 0, 0] == 0))
+    one = Examples._make([column[chosen] for column in data])
     count = len(one.worked)
     assert count > 60 and len(np.unique(one.goal, axis=0)) == 1  # the frame makes both kinks one
     ropes, follower = ChainSimulation(count), WaypointFollower(count)

@@ -16,7 +16,7 @@ from knotgym.cli import main
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
 from knotgym.datasets import Episodes
 from knotgym.learn.training import Training
-from knotgym.learn.training_data import states_and_pulls
+from knotgym.learn.training_data import TrainingData
 from knotgym.states import shipped
 
 from ..small_job import staging_of
@@ -82,7 +82,7 @@ def test_nothing_to_learn_from_is_one_line(played: Episodes, tmp_path: Path) -> 
 
 
 def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> None:
-    own = states_and_pulls([played, played])
+    own = TrainingData.of([played, played])
     steps, count = played.steps, played.steps.rows
     assert own.beads[0] == -1 and own.beads[count] == -1
     assert own.starts.tolist()[3:] == [count + start for start in own.starts.tolist()[:3]]
@@ -92,8 +92,8 @@ def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> No
 
 def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
     class Tiny(Training):
-        def advance(self) -> None: ...
-        def ended(self) -> Any: ...
+        def _advance(self) -> None: ...
+        def _ended(self) -> Any: ...
 
     def tiny() -> Tiny:
         return Tiny(torch.nn.Linear(2, 1), 0.1, 0.0, 4)

@@ -11,7 +11,7 @@ from knotgym.datasets import decode, encode
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_run import sample_prompt
-from knotgym.prompting.prompts import FIRST, MODES, READ, STATEFUL, PromptConfig
+from knotgym.prompting.prompts import FIRST, MODES, PromptConfig
 from knotgym.topology import label
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -33,11 +33,11 @@ def test_the_first_picture_is_the_page_s_and_the_script_s(drawing: dict[str, Any
     assert np.abs(sent - drawn).mean() < 2  # letters differ among OpenCV's versions
 
 
-@pytest.mark.parametrize("mode", [mode for mode in MODES if mode != STATEFUL])
+@pytest.mark.parametrize("mode", [mode for mode in MODES if mode != "stateful"])
 def test_the_page_shows_the_whole_prompt_of_every_mode(mode: Any) -> None:
     task = TaskConfig(task="tie", image_size=16)
     config = PromptConfig(mode=mode, chat=ChatConfig(model="m"), task=task)
-    rows = [{"image": encode(decode(FIRST.png)[:16, :16])}] if mode == READ else []
+    rows = [{"image": encode(decode(FIRST.png)[:16, :16])}] if mode == "read" else []
     text, pictures = sample_prompt(config, rows)
     assert pictures["picture-1"] == FIRST.png and f"[{[*pictures][-1]}]" in text
     assert f"```text\n{text}```\n" in (DOCS / "prompting.md").read_text(encoding="utf-8")

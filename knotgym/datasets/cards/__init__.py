@@ -5,6 +5,7 @@ folders of states and of pictures.
 import html
 import json
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.datasets.gallery import state_tiles, write_gallery
+from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import file_stem, marks_base, measures_of, read_table, shards
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES
@@ -28,23 +29,14 @@ from knotgym.topology import GaussCode
 if TYPE_CHECKING:
     from knotgym.datasets.located import Located
 
-BIBTEX = """\
-@misc{knotgym,
-  title  = {knotgym: curated states, trajectories and labelled pictures of a closed rope},
-  author = {{The knotgym founders}},
-  year   = {2026},
-  note   = {after "Knot So Simple", arXiv:2505.18028}
-}"""
-TO_CITE = ("## To cite", "", "```bibtex", BIBTEX, "```", "")  # lines of a card
+_FOLDER = files("knotgym.datasets.cards")
+_TABLES = tomllib.loads((_FOLDER / "tables.toml").read_text("utf-8"))
+BIBTEX = (_FOLDER / "citation.bib").read_text("utf-8").strip()
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
-_SPLITS = {name: ("split", name) for name in IMAGE_SPLITS}
+_SPLITS = {name: ("split", name) for name in STATE_SPLITS}
+_IMAGE_SPLITS = {name: ("split", name) for name in IMAGE_SPLITS}
 _GRADES = {name: ("grade", name) for name in GRADES} | {"accepted": ("accepted", True)}
-# what test-code holds out
-_MARKED = "Codes are compared as they are read from the base bead; another base is another code."
-_UNMARKED = (
-    "Some pictures mark neither base nor direction and fit every code of their diagram. So codes"
-    " are compared up to base, direction, mirror images and switched crossings (`canonical_code`)."
-)
+
 _LISTED = 24  # entries of a mapping in words, at most
 
 
@@ -83,13 +75,20 @@ def citation_file(title: str) -> str:
 
 
 def filled_template(template: str, **parts: object) -> str:
-    """Fill a text template of this package with texts, or lists of lines.
-
-    `$to_cite` becomes the section with the BibTeX.
-    """
-    text = (files("knotgym.datasets.cards") / template).read_text(encoding="utf-8")
+    """Fill a text template of this package with texts, or lists of lines."""
     lists = {name: "\n".join(part) for name, part in parts.items() if isinstance(part, list)}
-    return Template(text).substitute({**parts, **lists}, to_cite="\n".join(TO_CITE))
+    text = Template((_FOLDER / template).read_text("utf-8"))
+    return text.substitute({**parts, **lists}, bibtex=BIBTEX)
+
+
+def _filled(
+    template: str, tables: Mapping[str, "CardTable"], config: Mapping[str, Any], **parts: object
+) -> str:
+    """Fill a template with tables and parts, and with what a run was asked for and made by."""
+    found = {name.replace(" ", "_"): one._markdown() for name, one in tables.items()}
+    versions = {"version": knotgym.__version__, "mujoco": mujoco.__version__}
+    asked = {"seed": config["seed"], "config": json.dumps(config, indent=1, sort_keys=True)}
+    return filled_template(template, **found, **versions, **asked, **parts)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -114,6 +113,13 @@ class CardTable(NamedTuple):
     says: str = ""
     left: Sequence[str] = ()
 
+    @classmethod
+    def _of(cls, title: str, rows: Sequence[Sequence[object]], **parts: object) -> "CardTable":
+        """Return a table that `tables.toml` describes; `parts` fill its text."""
+        own = _TABLES[title]
+        says = own.get("says", "").format(**parts)
+        return cls(title, own["head"], rows, says, own.get("left", ()))
+
     def _markdown(self) -> str:
         """Return the explanation of the columns, and the table; "" without rows."""
         if not self.rows:
@@ -122,7 +128,7 @@ class CardTable(NamedTuple):
         return says + "\n".join(table(self.head, [map(plain, row) for row in self.rows]))
 
 
-def counted(
+def _counted(
     title: str, columns: Mapping[str, NDArray[Any]], values: Mapping[str, tuple[str, object]]
 ) -> CardTable:
     """Count the rows of each number of crossings, their codes, and values of other columns.
@@ -140,23 +146,18 @@ def counted(
         each = f"{min(codes.values())} / {max(codes.values())}"
         found = [int((own[column] == value).sum()) for column, value in values.values()]
         rows.append((nx, codes.total(), len(codes), len(chiral), each, *found))
-    return CardTable(
-        title,
-        ("nx", "rows", "codes", "chiral", "each", *values),
-        rows,
-        "chiral: codes with chirality; each: fewest / most rows of a code",
-    )
+    head = ("nx", "rows", "codes", "chiral", "each", *values)
+    return CardTable(title, head, rows, _TABLES["counted"]["says"])
 
 
-def measured(measures: Mapping[str, tuple[str, NDArray[Any]]]) -> CardTable:
+def _measured(measures: Mapping[str, tuple[str, NDArray[Any]]]) -> CardTable:
     """Return the least, median and largest value of each measure, name -> unit and values (n,)."""
     rows = [
         (name, unit, *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
         for name, (unit, own) in measures.items()
         if len(own)
     ]
-    head = ("measure", "unit", "min", "median", "max")
-    return CardTable("quality", head, rows, left=head[:2])
+    return CardTable._of("quality", rows)
 
 
 def table(head: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]:
@@ -210,45 +211,20 @@ def _state_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTa
         for nx, reasons in report.get("rejected", {}).items()
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
-    found = counted("states", states.table, {name: ("split", name) for name in STATE_SPLITS})
+    found, more = _counted("states", states.table, _SPLITS), _TABLES["states"]
     listed = (
         found._replace(
-            head=(*found.head, "of", "c / a"),
+            head=(*found.head, *more["head"]),
             rows=[
                 (*row, *_more(states, nx, existing))
                 for nx, row in zip(numbers, found.rows, strict=True)
             ],
-            says=f"{found.says}; of: existing codes; c / a: positive and negative crossings",
+            says=f"{found.says}; {more['says']}",
         ),
-        CardTable(
-            "train and test",
-            ("nx", "test states", "code in train", "diagram in train", "nearest, mm"),
-            [_overlap(states, nx) for nx in numbers],
-            "code in train: test states whose code (without chirality) some train state has;"
-            " diagram in train: test states whose code some train state has up to symmetry (another"
-            " base bead, the other direction, mirrored or switched); nearest: the smallest distance"
-            " from a test state to a train state of any nx, root mean square over the beads,"
-            " minimized over those symmetries and rotations about z",
-        ),
-        CardTable(
-            "spread",
-            ("nx", "apart", "shapes", "gyration", "height", "visits", "bare"),
-            [_spread(states, nx) for nx in numbers],
-            "apart: mm, median / min distance of two states (root mean square over the beads, after"
-            " the best rotation about z); shapes: the same, minimized over base bead and direction"
-            " too; gyration: mm, min / max radius of gyration; height: mm, min / max from the"
-            " lowest to the highest bead; visits: beads, mean distance along the rope between"
-            " crossings of two states, 25 for random positions; bare: beads, longest stretch where"
-            " no state has a crossing",
-        ),
-        measured(states.measures),
-        CardTable(
-            "rejected",
-            ("nx", "reason", "rejected"),
-            rejected,
-            f"{report.get('attempts')} drawings or ropes were tried; one can have several reasons",
-            left=("reason",),
-        ),
+        CardTable._of("train and test", [_overlap(states, nx) for nx in numbers]),
+        CardTable._of("spread", [_spread(states, nx) for nx in numbers]),
+        _measured(states.measures),
+        CardTable._of("rejected", rejected, attempts=report.get("attempts")),
     )
     return {one.title: one for one in listed}
 
@@ -272,7 +248,7 @@ def finish(
     """
     config = request["config"]
     if states is not None:
-        write_gallery(folder / "gallery.png", state_tiles(states))
+        write_gallery(folder / "gallery.png", states)
         write_text(folder / "README.md", _state_card(states, report, config))
         return write_manifest(folder, "knotgym-manifest", request, report)
     from knotgym.datasets.cards.croissant import write_croissant
@@ -286,17 +262,15 @@ def finish(
 
 def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
-    found = {name: one._markdown() for name, one in _state_tables(states, report).items()}
     lacking = ", ".join(_code_span(code or "loop") for code in report.get("undemonstrated", []))
-    return filled_template(
+    return _filled(
         "state_card.md",
+        _state_tables(states, report),
+        config,
         crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),
         count=len(states),
         knot=plain(report["knot"]),
-        version=report["version"],
-        mujoco=report["mujoco"],
         engine=states.engine,
-        seed=config["seed"],
         source=plain(report["source"]),
         sources="\n".join(
             f"- `{name}`: {SOURCES[name].doc}"
@@ -305,9 +279,7 @@ def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, 
         passed=sum(map(len, report.get("passed_over", {}).values())),
         demonstrations=report.get("demonstrations", 0),
         lacking=lacking and f"The expert reached no goal of these codes: {lacking}.",
-        **{name.replace(" ", "_"): text for name, text in found.items()},
         columns=states.table.schema.page(),
-        config=json.dumps(config, indent=1, sort_keys=True),
     )
 
 
@@ -344,8 +316,8 @@ def _image_tables(path: Path) -> dict[str, CardTable]:
     """Return the tables of facts about a perception table by name."""
     rows = read_table(path, columns=[*_COUNTED, "quality"])
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
-    counts = [counted("splits", columns, _SPLITS), counted("grades", columns, _GRADES)]
-    return {one.title: one for one in (*counts, measured(measures_of(rows)))}
+    counts = [_counted("splits", columns, _IMAGE_SPLITS), _counted("grades", columns, _GRADES)]
+    return {one.title: one for one in (*counts, _measured(measures_of(rows)))}
 
 
 def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
@@ -354,27 +326,24 @@ def _image_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, An
     rows, files = read_table(folder, columns=["nx", "split", "appearance"]), shards(folder)
     splits = [name for name in IMAGE_SPLITS if name in set(rows["split"].to_pylist())]
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in splits]
-    return filled_template(
+    return _filled(
         "image_card.md",
+        _image_tables(folder),
+        config,
         data_files=[f"  - split: {split}\n    path: {path}" for split, path in paths],
         crossings=", ".join(map(str, sorted(set(rows["nx"].to_pylist())))),
         pictures=len(rows),
         bytes=f"{sum(file.stat().st_size for file in files) / len(rows):.0f}",
-        version=knotgym.__version__,
-        mujoco=mujoco.__version__,
         engine=config["engine"],
         appearance=f"`{name}`, {APPEARANCES[name].says}",
-        seed=config["seed"],
         pulls=config["pulls"],
         policies=" and ".join(config["policies"]),
         code_share=f"{config['code_share']:g}",
-        held=_MARKED if marks_base(rows) else _UNMARKED,
+        held=_TABLES["held"]["marked" if marks_base(rows) else "unmarked"],
         test_nx=", ".join(map(str, config["test_nx"] or ())) or "none",
-        **{name: one._markdown() for name, one in _image_tables(folder).items()},
         ropes=report["ropes"],
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),
-        config=json.dumps(config, indent=1, sort_keys=True),
     )
 
 

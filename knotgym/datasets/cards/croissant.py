@@ -33,20 +33,19 @@ def write_croissant(folder: Path, name: str, description: str, appearance: str =
         "description": description,
         "citeAs": BIBTEX,
         "distribution": [
-            {
-                "@type": "cr:FileObject",
-                "@id": path.as_posix(),
-                "name": path.as_posix(),
-                "contentUrl": path.as_posix(),
-                "contentSize": f"{(folder / path).stat().st_size} B",
-                "encodingFormat": "application/x-parquet",
-                "sha256": sha256(folder / path),
-            }
+            _node("FileObject", path.as_posix())
+            | {"contentUrl": path.as_posix()}
+            | {"contentSize": f"{(folder / path).stat().st_size} B"}
+            | {"encodingFormat": "application/x-parquet", "sha256": sha256(folder / path)}
             for path in paths
         ],
         "recordSet": [_records(folder, path) for path in paths],
     }
     write_text(folder / "croissant.json", json.dumps(described, indent=1))
+
+
+def _node(kind: str, name: str) -> dict[str, Any]:
+    return {"@type": f"cr:{kind}", "@id": name, "name": name}
 
 
 def _records(folder: Path, path: Path) -> dict[str, Any]:
@@ -58,13 +57,8 @@ def _records(folder: Path, path: Path) -> dict[str, Any]:
         for column in parquet.schema_arrow
         for one, parent in _members(column)
     ]
-    return {
-        "@type": "cr:RecordSet",
-        "@id": where,
-        "name": where,
-        "description": f"{parquet.metadata.num_rows} rows of split {split}.",
-        "field": fields,
-    }
+    said = f"{parquet.metadata.num_rows} rows of split {split}."
+    return _node("RecordSet", where) | {"description": said, "field": fields}
 
 
 def _members(column: Any) -> list[tuple[Any, str]]:
@@ -85,12 +79,7 @@ def _field(where: str, path: str, column: Any, parent: str) -> dict[str, Any]:
     source["extract"] = {"column": parent or column.name}
     if picture or parent:
         source["transform"] = {"jsonPath": "bytes" if picture else column.name}
-    return {
-        "@type": "cr:Field",
-        "@id": f"{where}/{name}",
-        "name": f"{where}/{name}",
-        "description": f"The column {name}, explained in README.md.",
-        "dataType": "sc:ImageObject" if picture else _TYPES.get(kind, "sc:Integer"),
-        **({"repeated": True} if repeated else {}),
-        "source": source,
-    }
+    described = _node("Field", f"{where}/{name}")
+    described["description"] = f"The column {name}, explained in README.md."
+    described["dataType"] = "sc:ImageObject" if picture else _TYPES.get(kind, "sc:Integer")
+    return described | ({"repeated": True} if repeated else {}) | {"source": source}

@@ -37,7 +37,7 @@ from knotgym.common import Counts, InvalidInput, atomic_write, require_output
 from knotgym.datasets.cards import citation_file, filled_template, plain, table, write_text
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay
-from knotgym.datasets.gallery import episode_tiles, write_gallery
+from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.located import Located
 from knotgym.datasets.minari_form import METADATA, copy_file, data_files, metadata_of, write_minari
 
@@ -85,7 +85,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
     listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
     write_text(repository / "namespace_metadata.json", json.dumps(listed))
     write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
-    write_gallery(repository / "gallery.png", episode_tiles([*sources.values()]))
+    write_gallery(repository / "gallery.png", [*sources.values()])
     write_text(repository / "README.md", _card(repository.name, entries))
     return f"a Minari root with {len(sources)} datasets; upload the folder in it"
 

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import Column, Counts, InvalidInput, Schema, Table
+from knotgym.common import Counts, InvalidInput, Schema, Table
 from knotgym.datasets import cards
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay, show_episodes
-from knotgym.datasets.episodes import STEPS, Episodes, gauss_codes
-from knotgym.datasets.gallery import episode_tiles, state_tiles, write_gallery
+from knotgym.datasets.episodes import STEPS, Episodes, columns_in, gauss_codes
+from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 from knotgym.datasets.located import Located
 from knotgym.states import STATE_SPLITS, States, read_states
@@ -37,27 +37,12 @@ _OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 _AT_ONCE = 256  # episodes converted at once
 _PNG_LEVEL = 6  # level 9 takes four times as long, for a twentieth less
-_TEXTS = (
-    Column("dataset", "text", (), "", "id of the dataset"),
-    Column("policy", "text", (), "", "that acted"),
-    Column("gauss_code", "text", (), "", "Gauss code of the state"),
-    Column("gauss_code_chiral", "text", (), "", "the same with chirality"),
-    Column("goal_gauss_code", "text", (), "", "Gauss code to reach"),
-)
-_PLACES = (
-    Column("episode", "int64", (), "", "number of the episode in its dataset"),
-    Column("step", "int64", (), "", "number of the state in its episode"),
-    Column("is_last", "bool", (), "", "the episode's last state, which has no action"),
-    Column("is_success", "bool", (), "", "the goal has been shown for long enough"),
-    Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),
-)
-_IMAGE = Column("image", "uint8", ("height", "width", 3), "", "what the environment shows", True)
 _KEPT = tuple(
     column._replace(name="points") if column.name == "observation" else column
     for column in STEPS.columns
     if column.name not in ("visits", "signs")
 )
-ROWS_OF_STEPS = Schema("steps", (*_TEXTS, *_PLACES, *_KEPT, _IMAGE))
+ROWS_OF_STEPS = Schema("steps", (*columns_in("hub"), *_KEPT, *columns_in("picture")))
 
 
 def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
@@ -80,8 +65,7 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
             rows.setdefault(config, {})[split], pages[config] = count, page
     if not rows:
         raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
-    tiles = episode_tiles(source.episodes) if states is None else state_tiles(states)
-    write_gallery(folder / "gallery.png", tiles)
+    write_gallery(folder / "gallery.png", source.episodes if states is None else states)
     cards.write_text(folder / "CITATION.cff", cards.citation_file(source.title))
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
     engines = [one.task.engine for one in datasets]
@@ -200,19 +184,17 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
 
 def _write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
     """Append tables of equal columns to one file; return its rows and a page of its columns."""
-    parquet, writer, rows, page = arrow("pyarrow.parquet"), None, 0, ""
+    parts = iter(tables)
+    if (part := next(parts, None)) is None:
+        return 0, ""
     path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        for part in tables:
-            made = _arrow_table(part)
-            if writer is None:
-                writer = parquet.ParquetWriter(path, made.schema, compression="zstd")
-                page = part.schema.page()
-            writer.write_table(made, row_group_size=1000)
+    made, rows, page = _arrow_table(part), part.rows, part.schema.page()
+    parquet = arrow("pyarrow.parquet")
+    with parquet.ParquetWriter(path, made.schema, compression="zstd") as writer:
+        writer.write_table(made, row_group_size=1000)
+        for part in parts:
+            writer.write_table(_arrow_table(part), row_group_size=1000)
             rows += part.rows
-    finally:
-        if writer is not None:
-            writer.close()
     return rows, page
 
 

@@ -133,15 +133,9 @@ def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         square = np.zeros(strands.shape, dtype=bool)
         left, right, top, bottom = (max(0, round(n + s * reach)) for n in (x, y) for s in (-1, 1))
         square[top : bottom + 1, left : right + 1] = True
-        yield {
-            "category_id": 3,
-            "sign": crossing["sign"],
-            **_region(square),
-            "keypoints": keypoints,
-            "num_keypoints": len(points),
-            "bbox": around,
-            "area": 4 * reach**2,
-        }
+        found = {"category_id": 3, "sign": crossing["sign"], **_region(square)}
+        found |= {"keypoints": keypoints, "num_keypoints": len(points)}
+        yield found | {"bbox": around, "area": 4 * reach**2}
 
 
 def _region(mask: NDArray[np.bool_]) -> dict[str, Any]:
