@@ -13,6 +13,7 @@ reach every field, under the same names.
 """
 
 import dataclasses
+import functools
 import inspect
 import os
 import re
@@ -43,21 +44,15 @@ EXISTING = "run.resume run.restart run.overwrite"
 RUN = f"seed run.workers {EXISTING}"  # options of every command that makes data
 Listed = Annotated[str | None, Parameter(metavar="A,B")]
 Numbers = Annotated[str | None, Parameter(metavar="N,N")]
-DrawSeed = Annotated[int, Parameter(group=_RUN_GROUP, help="Seed of the random choice.")]
+_of_run = functools.partial(Parameter, group=_RUN_GROUP)
+DrawSeed = Annotated[int, _of_run(help="Seed of the random choice.")]
 _QUIET = Annotated[bool, Parameter(show=False, help="Print errors only.")]
 _SET_HELP = "One setting, such as task.horizon=30; may be repeated."
-_SET = Annotated[
-    list[str] | None, Parameter(group=_RUN_GROUP, metavar="NAME=VALUE", help=_SET_HELP)
-]
-_SETTINGS = Annotated[
-    Path | None, Parameter(group=_RUN_GROUP, help="TOML or JSON file of settings.")
-]
+_SET = Annotated[list[str] | None, _of_run(metavar="NAME=VALUE", help=_SET_HELP)]
+_SETTINGS = Annotated[Path | None, _of_run(help="TOML or JSON file of settings.")]
 _METAVARS = {int: "INT", float: "FLOAT", tuple[int, ...]: "N,N", tuple[str, ...]: "A,B"}
-_READERS: dict[Any, Callable[[str], Any]] = {
-    bool: {"true": True, "false": False}.__getitem__,
-    int: int,
-    float: float,
-}
+_TRUTH = {"true": True, "false": False}
+_READERS: dict[Any, Any] = {bool: _TRUTH.__getitem__, int: int, float: float}
 
 
 class _Field(NamedTuple):

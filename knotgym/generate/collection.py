@@ -21,7 +21,7 @@ from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, p
 from knotgym.envs import TaskConfig
 from knotgym.generate.episode_configs import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.recordings import RECORDINGS, rebuilt
-from knotgym.generate.results import reference_scores
+from knotgym.generate.results import reached, reference_scores
 from knotgym.rope import CHAIN, MUJOCO
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
 from knotgym.states import is_bundled, minari_root, read_states, resolve_states
@@ -29,12 +29,7 @@ from knotgym.states import is_bundled, minari_root, read_states, resolve_states
 # Episodes of a block, at least and at most, so that it takes about half a minute of one core at
 # most: what a kill loses. The chain engine steps many ropes in little more time than one, MuJoCo
 # doesn't; and a policy that plans simulates 500 to 5,000 pulls an episode beside its own 50.
-_SIZES = {
-    (CHAIN, False): (64, 1024),
-    (CHAIN, True): (16, 64),
-    (MUJOCO, False): (8, 64),
-    (MUJOCO, True): (2, 8),
-}
+_SIZES = {CHAIN: ((64, 1024), (16, 64)), MUJOCO: ((8, 64), (2, 8))}  # without planning, and with
 _PIECES = {CHAIN: 4, MUJOCO: 32}  # of a run, at least, so that workers have equal shares
 _MOST_STEPS = 2**17  # of a block, which bounds its memory
 
@@ -53,7 +48,7 @@ def blocks(episodes: int, task: TaskConfig, plans: bool, first: int = 0) -> list
     >>> blocks(200, TaskConfig(task="tie", engine="chain"), plans=False)
     [range(0, 50), range(50, 100), range(100, 150), range(150, 200)]
     """
-    least, most = _SIZES[task.engine, plans]
+    least, most = _SIZES[task.engine][plans]
     most = min(most, max(1, _MOST_STEPS // (task.horizon + 1)))
     size = min(max(-(-episodes // _PIECES[task.engine]), least), most)
     count = -(-episodes // size)
@@ -129,16 +124,9 @@ def collect(
     made_by = identity(config, files, also=advisers)
     plan = compile_planning if config.policy.plans else None
     recipe = partial(_episodes_of, config, made_by, rebuilt if recorded else _play)
-    return run(
-        recipe,
-        folder,
-        made_by,
-        options,
-        progress,
-        compiles={"engine": config.task.engine, "plan": plan},
-        count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
-        identity_in=run_facts,
-    )
+    compiles = {"engine": config.task.engine, "plan": plan}
+    begin = partial(run, compiles=compiles, count=reached, identity_in=run_facts)
+    return begin(recipe, folder, made_by, options, progress)
 
 
 def _named(config: CollectConfig, out: Path | None) -> tuple[CollectConfig, Path]:

@@ -200,10 +200,6 @@ def _from_vect(path: Path) -> Components:
         yield "", part if count > 0 else np.concatenate([part, part[:1]])
 
 
-def _from_json(path: Path) -> Components:
-    return _nested("", json.loads(path.read_text("utf-8-sig")))
-
-
 def _nested(name: str, value: Any) -> Components:
     """Yield the lists of points in a value; what else an object holds isn't read."""
     if isinstance(value, dict):
@@ -238,6 +234,6 @@ def _stacked(name: str, values: np.ndarray) -> Components:
 _FORMS = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".xyz"), (_from_table, 64)),
     ".vect": (_from_vect, 16),
-    ".json": (_from_json, 16),
+    ".json": (lambda path: _nested("", json.loads(path.read_text("utf-8-sig"))), 16),
     **dict.fromkeys((".npy", ".npz"), (_from_numpy, 64)),
 }

@@ -26,7 +26,7 @@ from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.collection import blocks
 from knotgym.generate.entries import write_entry
 from knotgym.generate.episode_configs import EvaluateConfig
-from knotgym.generate.results import Result, evaluation_in, show
+from knotgym.generate.results import Result, evaluation_in, reached, show
 from knotgym.runs import (
     Call,
     Progress,
@@ -85,10 +85,6 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
         for (policy, task), action, one in zip(setups, actions, played, strict=True)
     ]
     return results, played, [*rest]
-
-
-def _reached(played: Kept) -> dict[str, int]:
-    return {"reached the goal": int(played["episodes/success"].sum())}
 
 
 def _require_playable(config: EvaluateConfig) -> None:
@@ -166,9 +162,9 @@ def evaluate(
     if out is None:
         with executor(options.workers) as pool:
             compile_first(progress, pool, **compiles)
-            compute(_recipe(None), pool=pool, progress=progress, count=_reached)
+            compute(_recipe(None), pool=pool, progress=progress, count=reached)
     else:
-        make = partial(run_recipe, is_folder=False, compiles=compiles, count=_reached)
+        make = partial(run_recipe, is_folder=False, compiles=compiles, count=reached)
         make(_recipe, out, made_by, options, progress)
         if not options.shard.is_whole:
             return []

@@ -143,7 +143,7 @@ class _PhasePlayer(Player):
             phases += [(config.scripted, self._script), (config.spreading, self._spread)]
         # step after which each phase ends; `searchsorted` finds the phase of a step
         self._ends = np.cumsum([length for length, _ in phases])
-        self._phases = [*(phase for _, phase in phases), _rest]
+        self._phases = [phase for _, phase in phases]
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         for index in ids.tolist():
@@ -160,7 +160,7 @@ class _PhasePlayer(Player):
         forces = np.zeros((len(ids), 3), dtype=np.float32)
         # lanes are in different steps, so in different phases: each phase pulls its own
         now = np.searchsorted(self._ends, steps, side="right")
-        for phase in np.unique(now):
+        for phase in np.unique(now[now < len(self._phases)]):  # after the last one ropes rest
             own = now == phase
             beads[own], forces[own] = self._phases[phase](ids[own])
         recorded = np.flatnonzero(steps < self._ends[-1])
@@ -222,10 +222,6 @@ class _PhasePlayer(Player):
     def _script(self, ids: Ids) -> BeadsAndForces:
         pulls = self._scripted.act(ids)
         return pulls.beads, pulls.forces
-
-
-def _rest(ids: Ids) -> BeadsAndForces:
-    return np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3), dtype=np.float32)
 
 
 def rows_of_ropes(

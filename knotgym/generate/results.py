@@ -111,6 +111,11 @@ def _totals(outcomes: Mapping[str, Sequence[int]]) -> dict[str, Any]:
     return {"successes": int(success.sum()), **rates, "steps": steps}
 
 
+def reached(played: Columns) -> dict[str, int]:
+    """Count the episodes that reached the goal, of the columns of a call."""
+    return {"reached the goal": int(played["episodes/success"].sum())}
+
+
 @contextmanager
 def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
     """Give the content of a file of `knotgym evaluate --out`, and its results.

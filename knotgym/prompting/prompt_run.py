@@ -80,17 +80,12 @@ def run_prompts(
         return f"{FILE}, {_RESULT}"
 
     asked = {**settings, "chat": {k: v for k, v in settings["chat"].items() if k not in _FREE}}
-    run_identity = identity(config, fields=asked)
-    return run(
-        _recipe,
-        out,
-        run_identity,
-        options,
-        progress,
-        pool=partial(_Requests, config.side_by_side, stop),
-        count=lambda kept: {"retries": sum(_unpacked(kept)["retries"].values())},
-        identity_in=_RESULT,
+    run_identity, pool = (
+        identity(config, fields=asked),
+        partial(_Requests, config.side_by_side, stop),
     )
+    begin = partial(run, pool=pool, count=_retries, identity_in=_RESULT)
+    return begin(_recipe, out, run_identity, options, progress)
 
 
 def sample_prompt(
@@ -208,6 +203,10 @@ def _packed(reply: Mapping[str, Any]) -> Result:
 def _unpacked(kept: Result) -> dict[str, Any]:
     """Unpack a reply that `_packed` packed."""
     return dict(json.loads(bytes(kept["reply"])))
+
+
+def _retries(kept: Result) -> dict[str, int]:
+    return {"retries": sum(_unpacked(kept)["retries"].values())}
 
 
 def _flat(config: PromptConfig) -> dict[str, Any]:

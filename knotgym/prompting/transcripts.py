@@ -31,7 +31,6 @@ _HEAD = ("", "pictures", "exact", "crossings", "edits")
 
 _Text = Annotated[str, Predicate(str.isprintable)]
 _Tokens = Annotated[int, Field(ge=0)] | None
-_Action = Annotated[list[Annotated[float, Field(ge=-1, le=1)]], Field(min_length=6, max_length=6)]
 
 
 # The fields that are read later; lines have more, which docs/prompting.md lists.
@@ -64,10 +63,8 @@ class _Request(TypedDict):
 
 class _EpisodeLine(TypedDict):
     config: _Config
-    seed: int
     start: int
     goal: int
-    actions: list[_Action]
     success: bool
     turns: list[_Request]
     prompt_tokens: _Tokens
@@ -160,7 +157,8 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     limit, retries and tokens, which are None if a server didn't state them. For episodes it adds
     the success rate with its 95 % interval, and the episodes without any valid answer.
     """
-    turns = list(_turns(transcripts))
+    # the requests: turns of episodes, or the transcripts of pictures themselves
+    turns = [turn for one in transcripts for turn in one.get("turns", [one])]
     facts: dict[str, Any] = {
         "answers": dict(Counter(turn["fault"] or "valid" for turn in turns).most_common()),
         "rejected": dict(
@@ -191,12 +189,6 @@ def total(replies: Iterable[Mapping[str, Any]], name: str) -> int | None:
     """Add up the numbers of tokens of replies; None if one is unknown."""
     counts = [one[name] for one in replies]
     return None if None in counts else sum(counts)
-
-
-def _turns(transcripts: Iterable[Mapping[str, Any]]) -> Iterable[Mapping[str, Any]]:
-    """Yield the requests: the turns of episodes, or the transcripts of pictures themselves."""
-    for one in transcripts:
-        yield from one.get("turns", [one])
 
 
 def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, float]]:

@@ -169,10 +169,8 @@ def run(
             sweep(_staging_folder(out))
             shown.say(f"{out} is finished already")
             return out
-        replaces = options.overwrite or not shard.is_whole
-        free = partial(
-            require_output, out, folder=is_folder, overwrite=replaces, reads=identity.reads
-        )
+        replaces, reads = options.overwrite or not shard.is_whole, identity.reads
+        free = partial(require_output, out, folder=is_folder, overwrite=replaces, reads=reads)
         free()
         with staged(out, identity, options, shard) as (folder, journal):
             free()  # another may have made it before this one had the lock
@@ -220,15 +218,15 @@ def staged(
     """
     path = shard.journal(out)
     folder = _staging_folder(out if shard.is_whole else path)
-    others = [other for other in _shard_journals(out) if other != path]
+    beside = sorted(out.parent.glob(f"{escape(out.name)}-shard-*-of-*.journal"))
+    others = [other for other in beside if other.is_dir() and other != path]
     path = folder / "journal" if shard.is_whole else path
     for one in (folder, path):
         require_own(one)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # so that nobody plants files in it
     try:
-        with Journal(
-            path, identity, others, resume=existing.resume, restart=existing.restart
-        ) as journal:
+        goes_on, begins = existing.resume, existing.restart
+        with Journal(path, identity, others, resume=goes_on, restart=begins) as journal:
             try:
                 for left in folder.iterdir():
                     if left != path:
@@ -255,12 +253,6 @@ def checkpoint_of(place: Path) -> Path:
     For work that isn't a function of a call, such as a training; a resumed run finds it again.
     """
     return place.parents[1] / "journal" / CHECKPOINT
-
-
-def _shard_journals(out: Path) -> list[Path]:
-    """Return the journals that shards left beside an output."""
-    pattern = f"{escape(out.name)}-shard-*-of-*.journal"
-    return sorted(path for path in out.parent.glob(pattern) if path.is_dir())
 
 
 def require_free(out: Path, options: RunOptions, hint: str) -> None:
