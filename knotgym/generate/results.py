@@ -130,7 +130,7 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
         policies = [policy["policy"] for policy in config["policies"]]
         setups = [*product(policies, *(config[name] for name in ("tasks", "splits", "nx")))]
         if setups != [(one.policy, one.task, one.split, one.nx) for one in results]:
-            raise ValueError("its results aren't those of its configuration's setups")
+            raise InvalidInput("its results aren't those of its configuration's setups")
         yield content, results
 
 

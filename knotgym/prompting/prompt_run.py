@@ -80,10 +80,8 @@ def run_prompts(
         return f"{FILE}, {_RESULT}"
 
     asked = {**settings, "chat": {k: v for k, v in settings["chat"].items() if k not in _FREE}}
-    run_identity, pool = (
-        identity(config, fields=asked),
-        partial(_Requests, config.side_by_side, stop),
-    )
+    run_identity = identity(config, fields=asked)
+    pool = partial(_Requests, config.side_by_side, stop)
     begin = partial(run, pool=pool, count=_retries, identity_in=_RESULT)
     return begin(_recipe, out, run_identity, options, progress)
 
