@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
+from knotgym import datasets, generate
 from knotgym.cli.options import RUN, Given, Listed, Numbers, command, numbers
 from knotgym.common import InvalidInput
 from knotgym.generate import CollectConfig, SuiteConfig
@@ -37,9 +38,6 @@ def collect(
         nx: Numbers of crossings: 3, 2,3 or 0-4; 2 by default.
         out: Minari root to write to; Minari's own by default.
     """
-    from knotgym.datasets import loading_lines
-    from knotgym.generate import collect as run
-    from knotgym.generate import require_collectable
 
     options = given.run
     tasks = given.get("task.task") if task is None else [one.strip() for one in task.split(",")]
@@ -55,11 +53,11 @@ def collect(
     named = ({"task.task": one, "task.nx": of} for one, of in pairs)
     configs = [given.config(CollectConfig, one, usual=usual) for one in named]
     # refuse any of them before playing the first
-    configs = [require_collectable(config, out, options) for config in configs]
+    configs = [generate.require_collectable(config, out, options) for config in configs]
     for config in configs:
-        run(config, out, options, progress=given.progress)
+        generate.collect(config, out, options, progress=given.progress)
         if options.shard.is_whole:
-            lines = loading_lines(config.dataset_id, out)
+            lines = datasets.loading_lines(config.dataset_id, out)
             given.progress.say("to load it:", *(f"    {line}" for line in lines))
 
 
@@ -89,11 +87,11 @@ def suite(given: Given, *, out: Path | None = None, episodes: Listed = None) -> 
         episodes: Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default
             as many as the benchmark has.
     """
-    from knotgym.generate import make_suite
 
     policies = given.get("policies") or SuiteConfig.SUITE["policies"]
     more = {} if episodes is None else {"episodes": _sizes(episodes, policies)}
-    make_suite(given.config(SuiteConfig, more), out, given.run, progress=given.progress)
+    suited = given.config(SuiteConfig, more)
+    generate.make_suite(suited, out, given.run, progress=given.progress)
 
 
 def _sizes(text: str, policies: Sequence[str]) -> dict[str, int]:

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 from cyclopts import App, Parameter
 from pydantic import NonNegativeInt
 
+from knotgym import common, control, datasets, generate, runs, states
 from knotgym.cli.options import APP, DrawSeed, Given, command
 from knotgym.common import Failed, InvalidInput
-from knotgym.datasets import export_help
 
 _command = partial(command, {}, lines=False)
 Source = Annotated[
@@ -22,7 +22,7 @@ Source = Annotated[
     ),
 ]
 File = Annotated[Path, Parameter(help="File to write: .h5, or .parquet for pictures.")]
-Format = Annotated[str, Parameter(help=export_help())]
+Format = Annotated[str, Parameter(help=datasets.export_help())]
 
 
 @_command("")
@@ -47,9 +47,7 @@ def gallery(given: Given, source: Source, /, *, out: Path | None = None) -> None
     Args:
         out: PNG to write; gallery.png in the folder by default.
     """
-    from knotgym.datasets import write_sheet
-
-    _write(given, source, out, "gallery.png", write_sheet)
+    _write(given, source, out, "gallery.png", datasets.write_sheet)
 
 
 @_command("")
@@ -63,9 +61,8 @@ def verify(given: Given, source: Source, /, *, sample: NonNegativeInt = 0) -> No
         sample: Episodes to draw and play again, where all would take too long; 0 for all.
     """
     from knotgym.cli.inspection import faults
-    from knotgym.runs import compile_first
 
-    compile_first(given.progress)
+    runs.compile_first(given.progress)
     found = 0
     for fault in faults(source, given.progress, sample):
         _print(given, f"fault: {fault}")
@@ -100,10 +97,8 @@ def merge(
     """
     if not sources:
         raise InvalidInput("name what to merge: two datasets at least")
-    from knotgym.datasets import merge as merge_datasets
-
     given.progress.stage("merging")
-    given.progress.say(merge_datasets(sources, out, id, given.run.overwrite))
+    given.progress.say(datasets.merge(sources, out, id, given.run.overwrite))
 
 
 @_command("run.overwrite")
@@ -133,10 +128,8 @@ def page(given: Given, source: Source, /, *, out: Path | None = None) -> None:
     Args:
         out: HTML file to write; page.html in the folder by default.
     """
-    from knotgym.datasets import write_page
-
     given.progress.stage("writing the page")
-    _write(given, source, out, "page.html", write_page)
+    _write(given, source, out, "page.html", datasets.write_page)
 
 
 @_command("run.overwrite")
@@ -147,11 +140,10 @@ def export(given: Given, source: Source, /, *, out: Path, to: Format = "compact"
         out: Output: an .h5 file for compact, columns and recording, or a folder of them for several
             datasets; a folder for all other formats.
     """
-    from knotgym.control import replay
-    from knotgym.datasets import export as convert
-
     given.progress.stage("exporting")
-    given.progress.say(f"{out}: {convert(source, out, to, replay, overwrite=given.run.overwrite)}")
+    overwrite = given.run.overwrite
+    made = datasets.export(source, out, to, control.replay, overwrite=overwrite)
+    given.progress.say(f"{out}: {made}")
 
 
 @_command("run.overwrite")
@@ -181,9 +173,7 @@ def select(
             those that there are. Needs the extra select.
         sample: Keep this many of the rows, drawn at random.
     """
-    from knotgym.datasets import select
-
-    _cut(given, partial(select, source, where=where, sample=sample, seed=seed, out=out))
+    _cut(given, partial(datasets.select, source, where=where, sample=sample, seed=seed, out=out))
 
 
 @_command("run.overwrite")
@@ -195,9 +185,7 @@ def split(given: Given, source: Source, /, *, parts: str, out: File, seed: DrawS
     Args:
         parts: Names and fractions of the parts, such as train=0.8,val=0.2.
     """
-    from knotgym.datasets import split
-
-    _cut(given, partial(split, source, parts=parts, seed=seed, out=out))
+    _cut(given, partial(datasets.split, source, parts=parts, seed=seed, out=out))
 
 
 @_command("run.overwrite")
@@ -207,9 +195,7 @@ def delete(given: Given, source: Source, /, *, rows: str, out: File) -> None:
     Args:
         rows: Rows of states or pictures, or numbers of episodes, such as 3,7-9.
     """
-    from knotgym.datasets import delete
-
-    _cut(given, partial(delete, source, rows=rows, out=out))
+    _cut(given, partial(datasets.delete, source, rows=rows, out=out))
 
 
 @_command("run.overwrite")
@@ -228,21 +214,17 @@ def import_(given: Given, *curves: Annotated[Path, Parameter(name="CURVES")], ou
     """
     if not curves:
         raise InvalidInput("name the files of curves to import")
-    from knotgym.common import atomic_write, require_output
-    from knotgym.generate import import_curves
-    from knotgym.states import write_states
-
     overwrite = given.run.overwrite
     given.progress.stage("relaxing curves")
-    require_output(out, folder=False, overwrite=overwrite, reads=curves)
-    states, refused = import_curves(curves)
-    with atomic_write(out, overwrite=overwrite) as temporary:
-        write_states(temporary, states)
-    knots = ", ".join(sorted(set(states.knot.tolist())))
-    given.progress.say(f"{out}: {len(states)} states, of {knots}")
+    common.require_output(out, folder=False, overwrite=overwrite, reads=curves)
+    laid, refused = generate.import_curves(curves)
+    with common.atomic_write(out, overwrite=overwrite) as temporary:
+        states.write_states(temporary, laid)
+    knots = ", ".join(sorted(set(laid.knot.tolist())))
+    given.progress.say(f"{out}: {len(laid)} states, of {knots}")
     _print(given, *(f"refused: {line}" for line in refused))
     if refused:
-        raise Failed(f"{len(refused)} files or curves were refused; {out} holds {len(states)}")
+        raise Failed(f"{len(refused)} files or curves were refused; {out} holds {len(laid)}")
 
 
 dataset = App(name="dataset", help="Inspect, check and convert datasets.", help_epilogue="", **APP)
@@ -260,24 +242,19 @@ def _write(
     given: Given, source: str, out: Path | None, name: str, write: Callable[[Path, Any], str]
 ) -> None:
     """Write a file about a dataset, by default of this name beside it, and say what it is."""
-    from knotgym.common import atomic_write, require_output
-    from knotgym.datasets import locate
-
-    found, overwrite = locate(source), given.run.overwrite
+    found, overwrite = datasets.locate(source), given.run.overwrite
     out = out or found.folder / name
     if out.suffix.lower() != Path(name).suffix:
         raise InvalidInput(f"the output must end in {Path(name).suffix}, got {out}")
-    require_output(out, folder=False, overwrite=overwrite, reads=found.files)
-    with atomic_write(out, overwrite=overwrite) as temporary:
+    common.require_output(out, folder=False, overwrite=overwrite, reads=found.files)
+    with common.atomic_write(out, overwrite=overwrite) as temporary:
         written = write(temporary, found)
     given.progress.say(f"{out}: {written}")
 
 
 def _cut(given: Given, cut: Callable[..., Path | list[Path]]) -> None:
     """Write some rows of a dataset as new files, and say what each holds."""
-    from knotgym.datasets import kept
-
     given.progress.stage("choosing rows")
     made = cut(overwrite=given.run.overwrite)
     for one in [made] if isinstance(made, Path) else made:
-        given.progress.say(f"{one}: {kept(one)}")
+        given.progress.say(f"{one}: {datasets.kept(one)}")

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from knotgym import generate, runs
 from knotgym.cli.options import RUN, Given, as_typed, command, field_help
 from knotgym.common import InvalidInput, one_line
 from knotgym.control import PolicyConfig
@@ -50,7 +51,6 @@ def evaluate(
             .webm.
         record: Entry to write: every pull, so that `knotgym dataset verify` replays the score.
     """
-    from knotgym.generate import evaluate
 
     names = policy or ["random"]
     more = _trained_on(given, names)
@@ -58,7 +58,8 @@ def evaluate(
         typed = ({"policy": name} for name in names)
         more["policies"] = [given.config(PolicyConfig, one, section="policy") for one in typed]
     config = given.config(EvaluateConfig, more)
-    evaluate(config, given.run, out=out, video=video, record=record, progress=given.progress)
+    files = {"out": out, "video": video, "record": record}
+    generate.evaluate(config, given.run, **files, progress=given.progress)
 
 
 @command({}, "")
@@ -73,14 +74,12 @@ def compare(given: Given, files: Files = None, /) -> None:
 
         knotgym compare clone.h5 random.h5
     """
-    from knotgym.generate import compare as run
-    from knotgym.runs import compile_first
 
     if not files:
         raise InvalidInput("name files of `knotgym evaluate --record` or --out")
-    compile_first(given.progress)
+    runs.compile_first(given.progress)
     given.progress.stage("replaying entries")
-    run(files, given.progress.console)
+    generate.compare(files, given.progress.console)
 
 
 def _trained_on(given: Given, policies: list[str]) -> dict[str, Any]:

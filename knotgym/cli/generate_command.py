@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from knotgym import datasets
 from knotgym.cli.options import RUN, Given, Numbers, command, numbers, run_folder
 from knotgym.common import InvalidInput, Stream
 from knotgym.generate import GenerateConfig
-from knotgym.topology import UNKNOT, GaussCode, parse_codes
+from knotgym.topology import UNKNOT, GaussCode, diagram_of, parse_codes
 
 HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
 MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
@@ -42,9 +43,7 @@ def generate(
             Burton and others. --nx chooses by crossings, --count at random; --every-code gives the
             number of states per code, 1 by default.
     """
-    from knotgym.datasets import loading_lines
-    from knotgym.generate import make_states
-    from knotgym.topology import diagram_of
+    from knotgym.generate import make_states  # the simulator
 
     knot = given.get("knot")
     usual = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
@@ -62,7 +61,7 @@ def generate(
     root = make_states(config, folder, given.run, progress=given.progress) / "minari"
     for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
         shown = dataset.relative_to(root).as_posix()
-        lines = loading_lines(shown, root)
+        lines = datasets.loading_lines(shown, root)
         given.progress.say("to load it:", *(f"    {line}" for line in lines))
 
 

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+from knotgym import generate
 from knotgym.cli.options import RUN, Given, as_typed, command, run_folder
 from knotgym.generate import ImagesConfig
+from knotgym.states import is_bundled
 
 
 @command(
@@ -32,8 +34,6 @@ def images(given: Given, *, out: Path | None = None, states: str | None = None) 
         states: Start from a set of states: readable (default), bench, random-walk or hard-unknots,
             which are included; or a states.h5.
     """
-    from knotgym.generate import make_images
-    from knotgym.states import is_bundled
 
     config, usual = given.config(ImagesConfig), ImagesConfig().appearance.name
     marks = [f"images-nx{as_typed(config.nx)}"]
@@ -43,4 +43,4 @@ def images(given: Given, *, out: Path | None = None, states: str | None = None) 
     marks += [name for name in (config.appearance.name,) if name != usual]
     marks += ["varied"] * bool(config.appearance.vary)
     folder = run_folder(out, "-".join(marks))
-    make_images(config, folder, given.run, states=states, progress=given.progress)
+    generate.make_images(config, folder, given.run, states=states, progress=given.progress)

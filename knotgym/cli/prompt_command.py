@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from knotgym import datasets, prompting
 from knotgym.cli.options import EXISTING, Given, command, run_folder
-from knotgym.common import InvalidInput
+from knotgym.common import InvalidFile, InvalidInput, atomic_write, require_output
 from knotgym.prompting import PromptConfig
 
 
@@ -40,7 +41,6 @@ def prompt(
         out: Folder to write.
         show: Print the whole prompt and send nothing; with --out also write its pictures.
     """
-    from knotgym.prompting import run_prompts
 
     usual = {"chat.model": "none" if show else ""}
     more: dict[str, Any] = {"task.split": split} if split and pictures is None else {}
@@ -62,7 +62,7 @@ def prompt(
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
     folder = run_folder(out, f"prompt-{config.mode}-{subject}-{model}")
 
-    run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
+    prompting.run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
     if not given.quiet:
         from knotgym.cli.inspection import show as look
 
@@ -71,11 +71,9 @@ def prompt(
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     """Return the first `count` pictures of a split; the table is shuffled."""
-    from knotgym.common import InvalidFile
-    from knotgym.datasets import read_rows
 
     columns = ["image", "gauss_code", "nx", "grade", "accepted"]
-    rows = list(islice(read_rows(pictures, split, columns), count))
+    rows = list(islice(datasets.read_rows(pictures, split, columns), count))
     if not rows:
         raise InvalidFile(f"{pictures} has no pictures of split {split}")
     return rows
@@ -83,10 +81,8 @@ def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
 
 def _show(given: Given, config: PromptConfig, rows: list[dict[str, Any]], out: Path | None) -> None:
     """Print the first request of a run; write its pictures to the folder `out`, if given."""
-    from knotgym.common import atomic_write, require_output
-    from knotgym.prompting import sample_prompt
 
-    text, shown = sample_prompt(config, rows)
+    text, shown = prompting.sample_prompt(config, rows)
     pictures = {} if out is None else {out / f"{name}.png": png for name, png in shown.items()}
     for path in pictures:
         require_output(path, folder=False, overwrite=given.run.overwrite, reads=[])

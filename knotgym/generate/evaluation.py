@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym import runs
 from knotgym.common import InvalidInput, Occupied, Stream, atomic_write, require_output
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes
@@ -27,19 +28,6 @@ from knotgym.generate.collection import blocks
 from knotgym.generate.entries import write_entry
 from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.generate.results import Result, evaluation_in, reached, show
-from knotgym.runs import (
-    Call,
-    Progress,
-    Recipe,
-    RunOptions,
-    cluster_interval,
-    compile_first,
-    compute,
-    executor,
-    identity,
-)
-from knotgym.runs import Result as Kept
-from knotgym.runs import run as run_recipe
 
 # fields of a learner's card
 _TRAINING = (
@@ -48,7 +36,9 @@ _TRAINING = (
 )
 
 
-def _play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whole: bool) -> Kept:
+def _play(
+    policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whole: bool
+) -> runs.Result:
     """Play a block of episodes.
 
     Args:
@@ -65,18 +55,18 @@ def _play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, who
 Evaluation = tuple[list[Result], list[Episodes], list[Episodes]]
 
 
-def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[Evaluation]:
+def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> runs.Recipe[Evaluation]:
     """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
     setups = list(config.setups())
     numbers = [blocks(config.episodes, task, policy.plans) for policy, task in setups]
-    calls, mark = list[Call](), ", recorded" * recorded
+    calls, mark = list[runs.Call](), ", recorded" * recorded
     for setup, (one, own) in enumerate(zip(setups, numbers, strict=True), 1):
         for few in own:
             name = f"episodes of setup {setup}{mark} {few.start}-{few.stop - 1}"
-            calls.append(Call(name, _play, (*one, few, config.seed, recorded), len(few)))
+            calls.append(runs.Call(name, _play, (*one, few, config.seed, recorded), len(few)))
     for setup, one in enumerate(setups, 1) if filmed else ():
         arguments = *one, range(filmed), config.seed, True
-        calls.append(Call(f"film {setup}", _play, arguments, filmed))
+        calls.append(runs.Call(f"film {setup}", _play, arguments, filmed))
     rest = map(Episodes.of, (yield calls))
     played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
     actions = [make_policy(policy).compatible_task(task).action for policy, task in setups]
@@ -96,12 +86,12 @@ def _require_playable(config: EvaluateConfig) -> None:
 
 def evaluate(
     config: EvaluateConfig,
-    options: RunOptions,
+    options: runs.RunOptions,
     *,
     out: Path | None = None,
     video: Path | None = None,
     record: Path | None = None,
-    progress: Progress | None = None,
+    progress: runs.Progress | None = None,
 ) -> list[Result]:
     """Evaluate, print the results, and write the requested files.
 
@@ -122,7 +112,7 @@ def evaluate(
         InvalidInput: the state file lacks states that a task needs.
         InvalidInput, Occupied, Failed: as in `runs.runner.run`, and for `video`.
     """
-    progress = progress or Progress(quiet=True)
+    progress = progress or runs.Progress(quiet=True)
     if out is None and (options.resume or options.restart):
         raise InvalidInput("--resume and --restart need the --out of the evaluation; give it too")
     if not options.shard.is_whole and (out is None or video or record):
@@ -133,11 +123,11 @@ def evaluate(
 
         Film(video)
     _require_playable(config)
-    made_by, results, films = identity(config), list[Result](), list[Episodes]()
+    made_by, results, films = runs.identity(config), list[Result](), list[Episodes]()
     compiles: dict[str, Any] = {"engine": config.task.engine}
     beside = [*filter(None, (video, record))]
 
-    def _recipe(place: Path | None) -> Recipe[str]:
+    def _recipe(place: Path | None) -> runs.Recipe[str]:
         nonlocal results, films
         for more in beside:
             require_output(more, folder=False, overwrite=options.overwrite, reads=made_by.reads)
@@ -160,11 +150,11 @@ def evaluate(
         return f"{len(results)} results of {config.episodes} episodes each"
 
     if out is None:
-        with executor(options.workers) as pool:
-            compile_first(progress, pool, **compiles)
-            compute(_recipe(None), pool=pool, progress=progress, count=reached)
+        with runs.executor(options.workers) as pool:
+            runs.compile_first(progress, pool, **compiles)
+            runs.compute(_recipe(None), pool=pool, progress=progress, count=reached)
     else:
-        make = partial(run_recipe, is_folder=False, compiles=compiles, count=reached)
+        make = partial(runs.run, is_folder=False, compiles=compiles, count=reached)
         make(_recipe, out, made_by, options, progress)
         if not options.shard.is_whole:
             return []
@@ -235,7 +225,7 @@ def _report(
     goals = [f"{one.goal_states} {row}" for one in results for row in one.outcomes["goal"]]
     return {
         "success_rate": float(np.mean(success)),
-        "interval": list(cluster_interval(success, starts, goals)),
+        "interval": list(runs.cluster_interval(success, starts, goals)),
         "episodes": len(success),
         **made_by,
         "learners": {one.policy: _training(one) for one in config.policies if one.card()},
