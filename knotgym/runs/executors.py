@@ -24,8 +24,9 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
+from knotgym import drawing, quality, rendering, topology
 from knotgym.common import Counts, Failed, InvalidInput, MissingExtra, Threads, differences
-from knotgym.rope import CHAIN, MUJOCO, is_compiled, simulation
+from knotgym.rope import CHAIN, MUJOCO, Rope, is_compiled, simulation
 from knotgym.runs.identities import versions
 from knotgym.runs.progress import Progress
 
@@ -263,34 +264,22 @@ def compile_first(
 def _compile(kernels: str) -> None:
     import numpy as np
 
-    from knotgym.rope import Rope
-
     gc.disable()  # it finds nothing meanwhile, and takes a twentieth of the time
     rope, rng = Rope(), np.random.default_rng(0)
     if kernels == _PICTURES:
-        from knotgym.rendering import draw
-
-        draw(rope.loop())
+        rendering.draw(rope.loop())
     elif kernels == _DRAWINGS:
-        from knotgym.drawing import drawn_curve
-        from knotgym.topology import GaussCode
-
-        drawn_curve(GaussCode.parse("1+,1-"), rng, rope)
+        drawing.drawn_curve(topology.GaussCode.parse("1+,1-"), rng, rope)
     elif kernels == _MEASURES:
-        from knotgym.quality import measure, noise_survival
-        from knotgym.topology import pyknotid_code
-
         t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
         eight = np.stack([0.3 * np.sin(t), 0.15 * np.sin(2 * t), 0.01 * np.cos(t)], axis=1)
         points = rope.from_curve(eight)
-        measure(points)
-        noise_survival(points, 0.015, rng, draws=2)
-        pyknotid_code(points)
+        quality.measure(points)
+        quality.noise_survival(points, 0.015, rng, draws=2)
+        topology.pyknotid_code(points)
         rope.qpos(points)
     else:
-        from knotgym.topology import label
-
         first = simulation(kernels)
         first.step([0], [[0.0, 0.0, 0.0]])
-        label(first.points[0])
+        topology.label(first.points[0])
     gc.enable()

@@ -73,39 +73,21 @@ def _write_files(
     return f"{episodes} episodes{files}, {size / 1e6:.1f} MB"
 
 
-_PARQUET = "huggingface"  # the extra
+_PLAYED, _PICTURES = f"{_HERE}.episode_exports", f"{_HERE}.picture_exports"
+_HUB, _PARQUET = f"{_HERE}.huggingface_export:to_huggingface", "huggingface"  # the extra
+_of_pictures = partial(Export, needs="pictures", extra=_PARQUET)
+_of_file = partial(Export, output="file")
 EXPORTS = {
-    "compact": Export("one compressed file without pictures", _write_files, output="file"),
-    "columns": Export(
-        "the same uncompressed, for loaders to map",
-        partial(_write_files, pack=False),
-        output="file",
+    "compact": _of_file("one compressed file without pictures", _write_files),
+    "columns": _of_file(
+        "the same uncompressed, for loaders to map", partial(_write_files, pack=False)
     ),
-    "recording": Export(
-        "starts and pulls alone", partial(_write_files, whole=False), output="file"
-    ),
-    "ogbench": Export(
-        "data files for OGBench's agents", f"{_HERE}.episode_exports:to_ogbench", output="beside"
-    ),
-    "minari": Export("a Minari root, ready to upload", f"{_HERE}.episode_exports:to_minari"),
-    "huggingface": Export(
-        "Parquet files with a card, ready to upload",
-        f"{_HERE}.huggingface_export:to_huggingface",
-        needs="",
-        extra=_PARQUET,
-    ),
-    "coco": Export(
-        "photos with boxes, masks and keypoints",
-        f"{_HERE}.picture_exports:to_coco",
-        needs="pictures",
-        extra=_PARQUET,
-    ),
-    "webdataset": Export(
-        "pictures as tar files",
-        f"{_HERE}.picture_exports:to_webdataset",
-        needs="pictures",
-        extra=_PARQUET,
-    ),
+    "recording": _of_file("starts and pulls alone", partial(_write_files, whole=False)),
+    "ogbench": Export("data files for OGBench's agents", f"{_PLAYED}:to_ogbench", output="beside"),
+    "minari": Export("a Minari root, ready to upload", f"{_PLAYED}:to_minari"),
+    "huggingface": Export("Parquet files with a card, ready to upload", _HUB, "", extra=_PARQUET),
+    "coco": _of_pictures("photos with boxes, masks and keypoints", f"{_PICTURES}:to_coco"),
+    "webdataset": _of_pictures("pictures as tar files", f"{_PICTURES}:to_webdataset"),
 }
 
 
