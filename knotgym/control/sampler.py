@@ -181,14 +181,12 @@ def rollouts(
         playing = np.flatnonzero(batch.number >= 0)
         if not len(playing):
             return record.whole()
-        if advice is not None:
-            record.advise(advice.given(playing))
         # copies go in and come out: a player may keep, change and reuse its arrays
         pulls = _checked(player.act(playing.copy()), playing, batch, policy.name)
         # every lane plans; asking again lets their searches go on
         if not len(pulls.ids):
             continue
-        record.before(pulls)
+        record.before(pulls, advice.given(pulls.ids) if advice is not None else None)
         outcome = batch.pull(pulls.ids, pulls.beads, pulls.forces)
         record.after(pulls.ids, *outcome)
         over = pulls.ids[outcome.terminated | outcome.truncated]
@@ -276,31 +274,26 @@ class _Advice:
 
     def __init__(self, player: Player, batch: EpisodeBatch) -> None:
         self._player, self._batch = player, batch
-        self._asked = np.full((2, batch.count), -1)  # episode and step last asked about
         self.planned = np.zeros(batch.count, dtype=np.int64)
 
-    def given(self, playing: Ids) -> Pulls:
-        """Return pulls for the lanes that moved since they were last asked about."""
-        now = np.stack([self._batch.number, self._batch.steps])
-        steps = self._batch.steps
-        self.planned[self._asked[0] != now[0]] = 0
-        asked = playing[(self._asked != now).any(axis=0)[playing]]
-        beads = np.zeros(len(asked), dtype=np.int64)
-        forces = np.zeros((len(asked), 3), dtype=np.float32)
-        if len(asked):
-            # a generator for each (episode, step): advice doesn't depend on the states before
-            keys = zip(self._batch.seed[asked].tolist(), steps[asked].tolist(), strict=True)
-            rngs = [Stream.EXPERT_LABEL.generator(max(0, seed), step) for seed, step in keys]
-            self._player.begin(asked, rngs)
-        waiting = asked
+    def given(self, ids: Ids) -> Pulls:
+        """Return pulls in the states of lanes that are about to move on."""
+        seeds, steps = self._batch.seed[ids].tolist(), self._batch.steps[ids]
+        self.planned[ids[steps == 0]] = 0
+        beads = np.zeros(len(ids), dtype=np.int64)
+        forces = np.zeros((len(ids), 3), dtype=np.float32)
+        # a generator for each (episode, step): advice doesn't depend on the states before
+        keys = zip(seeds, steps.tolist(), strict=True)
+        rngs = [Stream.EXPERT_LABEL.generator(max(0, seed), step) for seed, step in keys]
+        self._player.begin(ids, rngs)
+        waiting = ids
         while len(waiting):
             pulls = self._player.act(waiting)
-            rows = np.searchsorted(asked, pulls.ids)
+            rows = np.searchsorted(ids, pulls.ids)
             beads[rows], forces[rows] = pulls.beads, pulls.forces
             waiting = np.setdiff1d(waiting, pulls.ids, assume_unique=True)
-        self._asked[:, asked] = now[:, asked]
-        self.planned[asked] += self._player.planned[asked]
-        return Pulls(asked, beads, forces)
+        self.planned[ids] += self._player.planned[ids]
+        return Pulls(ids, beads, forces)
 
 
 class _Record:
@@ -335,17 +328,13 @@ class _Record:
         self._totals[ids], self._success[ids] = 0.0, False
         self._see(ids)
 
-    def advise(self, pulls: Pulls) -> None:
-        """Keep the pulls that an adviser would make."""
-        if len(pulls.ids):
-            self._put("expert_action", pulls.ids, self._actions(pulls))
-
-    def before(self, pulls: Pulls) -> None:
-        """Keep the pulls that will be made."""
+    def before(self, pulls: Pulls, advised: Pulls | None) -> None:
+        """Keep the pulls that will be made, and those that an adviser would make."""
         self._put("bead", pulls.ids, pulls.beads)
         self._put("force", pulls.ids, pulls.forces)
-        if "action" in self._steps:
-            self._put("action", pulls.ids, self._actions(pulls))
+        for name, own in (("action", pulls), ("expert_action", advised)):
+            if name in self._steps and own is not None:
+                self._put(name, own.ids, self._actions(own))
         if pulls.macros is None:
             # a player always says, or never does
             for name in MACROS:

@@ -14,7 +14,7 @@ a crossing twice.
 A drawing follows from its seed to the last bit, and mathematics libraries round sines and angles
 each in its own way, one and the same library otherwise on a processor that multiplies and adds at
 once. Sums, products, quotients and square roots are the same everywhere, so `sin_cos` and
-`angle_of` consist of them; they round alike everywhere, to 1e-15.
+`_angle_of` consist of them; they round alike everywhere, to 1e-15.
 
 After a change run `pytest tests/drawing`: every map must be a triangulated disc, and packed circles
 draw it without folds.
@@ -153,7 +153,7 @@ def _between(one: float, own: float, other: float) -> float:
     """Return the angle at a circle of radius `own` between two that touch it and each other."""
     # by the law of cosines, sin^2(angle / 2) = a / (r + a) * b / (r + b)
     square = one / (own + one) * other / (own + other)
-    return float(2 * angle_of(np.sqrt(1 - square), np.sqrt(square)))
+    return float(2 * _angle_of(np.sqrt(1 - square), np.sqrt(square)))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -211,7 +211,7 @@ def _laid_out(
         while not placed[petals[begin + known_petal]]:
             known_petal += 1
         own, before = radii[node], petals[begin + known_petal]
-        angle = angle_of(at[before, 0] - at[node, 0], at[before, 1] - at[node, 1])
+        angle = _angle_of(at[before, 0] - at[node, 0], at[before, 1] - at[node, 1])
         for k in range(1, count):
             petal = petals[begin + (known_petal + k) % count]
             one, two = radii[before], radii[petal]
@@ -243,7 +243,7 @@ def sin_cos(x: float) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def angle_of(x: float, y: float) -> float:
+def _angle_of(x: float, y: float) -> float:
     """Return the angle of a vector from the x axis, in [-pi, pi]; 0 for the zero vector."""
     far = np.sqrt(x * x + y * y)
     if far == 0:
