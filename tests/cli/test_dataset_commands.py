@@ -103,6 +103,7 @@ def test_without_out_they_stand_beside_what_they_show(tmp_path: Path) -> None:
         ("merge {states} --out {new}/a.h5", "a.h5: 8 states"),
         ("select {id} --where length>2 --sample 2 --out {new}/a.h5", "2 of 6 rows"),
         ("merge {id} --id a/b-v0 --out {new}", "a/b-v0: 6 episodes"),
+        ("gallery {id} --out {new}/a.png", "a.png: "),
         ("replay {states} --out {new}/a.gif", "a.gif: bit for bit the same, "),
         ("replay {id} --out {new}/a.gif", "a.gif: bit for bit the same, "),
         ("export {id} --out {new}/a.h5", "a.h5: 6 episodes"),
