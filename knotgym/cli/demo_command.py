@@ -3,6 +3,7 @@
 import importlib.util
 from pathlib import Path
 
+from knotgym import common, datasets, envs, loaders, rendering, runs
 from knotgym.cli.options import Given, command
 
 
@@ -19,32 +20,27 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
     progress.stage("loading the simulator")
     from PIL import Image
 
-    from knotgym.common import atomic_write, require_output
     from knotgym.control import PolicyConfig, compile_planning
-    from knotgym.datasets import locate, open_episodes, write_page
-    from knotgym.envs import TaskConfig
     from knotgym.generate import CollectConfig, collect, film
-    from knotgym.loaders import Transitions
-    from knotgym.rendering import Film
-    from knotgym.runs import Progress, RunOptions, compile_first
 
-    require_output(out, folder=True, overwrite=overwrite, reads=[])
-    compile_first(progress, plan=compile_planning)
-    task = TaskConfig(task="tie", nx=3, split="test", observation="both")
+    common.require_output(out, folder=True, overwrite=overwrite, reads=[])
+    runs.compile_first(progress, plan=compile_planning)
+    task = envs.TaskConfig(task="tie", nx=3, split="test", observation="both")
     config = CollectConfig(task=task, policy=PolicyConfig(policy="expert"), episodes=2)
     film_name = "expert.mp4" if importlib.util.find_spec("av") else "expert.gif"
-    with atomic_write(out, overwrite=overwrite) as folder:
+    with common.atomic_write(out, overwrite=overwrite) as folder:
         folder.mkdir()
         progress.stage("the expert plays two episodes of tie with 3 crossings")
-        options = RunOptions(workers=1, quiet=True)
-        dataset = collect(config, folder / "minari", options, progress=Progress(quiet=True))
-        played = open_episodes(dataset)
-        first = Image.fromarray(Transitions(dataset, observation="pixels").observations(0, 0, 1)[0])
+        options, silent = runs.RunOptions(workers=1, quiet=True), runs.Progress(quiet=True)
+        dataset = collect(config, folder / "minari", options, progress=silent)
+        played = datasets.open_episodes(dataset)
+        shown = loaders.Transitions(dataset, observation="pixels").observations(0, 0, 1)
+        first = Image.fromarray(shown[0])
         size = (4 * first.width, 4 * first.height)
         first.resize(size, Image.Resampling.NEAREST).save(folder / "reset.png")
         progress.stage("drawing the film and the page")
-        Film(folder / film_name).write(film(played.episodes, config.task))
-        write_page(folder / "page.html", locate(str(dataset)))
+        rendering.Film(folder / film_name).write(film(played.episodes, config.task))
+        datasets.write_page(folder / "page.html", datasets.locate(str(dataset)))
     reached = int(played.episodes.episodes["success"].sum())
     progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")
     progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")

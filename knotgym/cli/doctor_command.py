@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from knotgym import datasets, drawing, generate, rendering, runs, states, topology
 from knotgym.cli.options import Given, command
 from knotgym.common import Failed
 
@@ -33,15 +34,13 @@ def doctor(given: Given) -> None:
     """
     progress = given.progress
     progress.stage("comparing digests")
-    from knotgym.datasets import machine
-
     differs = []
     for name, found in _measured():
         same = found == EXPECTED[name]
         differs += [name] * (not same)
         expected = "" if same else f", recorded {EXPECTED[name]}"
         progress.say(f"{'ok' if same else 'differs':8}{found}  {name}{expected}")
-    facts = {**machine(), **{name: version(name) for name in _DECISIVE}}
+    facts = {**datasets.machine(), **{name: version(name) for name in _DECISIVE}}
     progress.say(", ".join(f"{key} {value}" for key, value in facts.items()))
     if differs:
         raise Failed(f"{len(differs)} of {len(EXPECTED)} differ: {', '.join(differs)}")
@@ -50,48 +49,42 @@ def doctor(given: Given) -> None:
 def _measured() -> Iterator[tuple[str, str]]:
     """Yield the name and the digest of each row of `EXPECTED`, in its order."""
     from knotgym.control import PolicyConfig, make_policy, rollouts
-    from knotgym.drawing import drawn_curve
     from knotgym.envs import Marked, TaskConfig
-    from knotgym.generate import GenerateConfig, make_states
-    from knotgym.rendering import draw, photograph
     from knotgym.rope import CHAIN, MUJOCO, EngineName, RopeConfig, simulation_of
-    from knotgym.runs import Progress, RunOptions
-    from knotgym.states import read_states, shipped
-    from knotgym.topology import GaussCode, label_many
 
-    states = read_states(shipped(), images=False)
+    known = states.read_states(states.shipped(), images=False)
     rng = np.random.default_rng(0)
-    shown: list[Any] = [states.points]
+    shown: list[Any] = [known.points]
     plans: list[tuple[EngineName, str, int, tuple[int, ...]]] = [
         (CHAIN, "chain engine", _ROPES, (1, 9, 60)),
         (MUJOCO, "MuJoCo", _FEW, (1, 30)),
     ]
     for engine, title, count, stops in plans:
         ropes = simulation_of(count, RopeConfig(), engine)
-        ropes.set_qpos(states.qpos[:: len(states) // count][:count])
+        ropes.set_qpos(known.qpos[:: len(known) // count][:count])
         for action in range(1, stops[-1] + 1):
             ropes.act(rng.uniform(-1, 1, (count, 6)).astype(np.float32))
             if action in stops:
                 yield f"{title}, {action} action{'s' * (action > 1)}", _digest(ropes.points)
         shown.append(ropes.points.copy())
-    codes = [code.chiral for ropes_of in shown for code in label_many(ropes_of)]
+    codes = [code.chiral for ropes_of in shown for code in topology.label_many(ropes_of)]
     yield "Gauss codes", _digest(codes)
-    code = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
-    curve = drawn_curve(code, np.random.default_rng(2))
+    code = topology.GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
+    curve = drawing.drawn_curve(code, np.random.default_rng(2))
     yield "drawn curves", _digest(curve)
     with tempfile.TemporaryDirectory() as folder:
-        config = GenerateConfig(nx=(2,), count=4, demonstrations=False)
-        options = RunOptions(workers=1, quiet=True)
-        made = make_states(config, Path(folder) / "made", options, progress=Progress(quiet=True))
-        held = read_states(made / "states.h5")
+        config = generate.GenerateConfig(nx=(2,), count=4, demonstrations=False)
+        options, silent = runs.RunOptions(workers=1, quiet=True), runs.Progress(quiet=True)
+        made = generate.make_states(config, Path(folder) / "made", options, progress=silent)
+        held = states.read_states(made / "states.h5")
     yield "generated states", _digest(held.qpos, held.image, [*held.gauss_code_chiral])
-    yield "picture", _digest(draw(states.points[-1]))
-    shot = photograph(states.points[100], 256, np.random.default_rng(0))
+    yield "picture", _digest(rendering.draw(known.points[-1]))
+    shot = rendering.photograph(known.points[100], 256, np.random.default_rng(0))
     yield "photo", _digest(shot.image if shot else [])
     task = TaskConfig(task="tie", nx=2, engine=CHAIN)
     played = rollouts(make_policy(PolicyConfig(policy="expert")), task, [0, 1])
     yield "expert's episode", _digest(played.steps["action"], played.steps["observation"])
-    yield "marked observations", _digest(Marked.of(states.points, [code] * len(states)).joined())
+    yield "marked observations", _digest(Marked.of(known.points, [code] * len(known)).joined())
 
 
 def _digest(*values: Any) -> str:

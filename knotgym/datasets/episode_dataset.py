@@ -35,21 +35,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    KnotgymError,
-    MissingFile,
-    Stream,
-    Table,
-    as_json,
-    from_json,
-    one_line,
-    read_tables,
-    require_no_links,
-    sha256,
-    write_tables,
+from knotgym import (
+    common,
+    envs,  # OpenCV and the engines, which few readers need, on first use
 )
+from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
 from knotgym.datasets.episodes import FORMS, NOT_STEPPED, PULLS, STORED_PULLS, Episodes, fitted
 from knotgym.envs import TaskConfig
 from knotgym.rope import FORCE_BINS, quantized
@@ -104,7 +94,7 @@ class EpisodeDataset:
     @property
     def name(self) -> str:
         """The dataset id, or else the name of the file, without control characters."""
-        return one_line(str((self.metadata or {}).get("dataset_id", self.path.name)))
+        return common.one_line(str((self.metadata or {}).get("dataset_id", self.path.name)))
 
     @cached_property
     def facts(self) -> dict[str, Any]:
@@ -128,10 +118,9 @@ class EpisodeDataset:
 
     def pictures(self, *, beside_goals: bool) -> NDArray[np.uint8]:
         """Draw each state as the environment shows it, alone or beside its goal: (rows, ...)."""
-        from knotgym.envs import Observer  # needs OpenCV
 
         (own, steps), episode = self.episodes, self.episodes.episode_of()
-        observer, goals = Observer(self.task), own["goal_points"].astype(np.float64)
+        observer, goals = envs.Observer(self.task), own["goal_points"].astype(np.float64)
         shown = observer.appearances(zip(own["goal"].tolist(), goals, strict=True))
         points, each = steps["observation"].astype(np.float64), [shown[k] for k in episode]
         if not beside_goals:
@@ -172,7 +161,7 @@ class EpisodeDataset:
         found = [self.path.with_name(STATES_FILE), *[carried] * carried.is_relative_to(root)]
         found = [one for one in found if one.is_file() and not one.is_symlink()]
         for one in found:
-            if sha256(one) == digest:
+            if common.sha256(one) == digest:
                 return one
         if found:
             raise InvalidFile(
@@ -201,14 +190,14 @@ def open_episodes(source: Any) -> EpisodeDataset:
     path = episode_file(source)
     if path.name == MAIN:
         raise InvalidFile(f"{path} was recorded by Minari: it can be loaded, but not played again")
-    _, attributes = read_tables(path, format=FORMAT, version=VERSION)
+    _, attributes = common.read_tables(path, format=FORMAT, version=VERSION)
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
     with InvalidFile.instead(f"{path} has no valid task", KnotgymError, KeyError, TypeError):
-        task = from_json(TaskConfig, attributes["task"])
+        task = common.from_json(TaskConfig, attributes["task"])
     sized = [schema.sized(beads=task.beads) for schema in schemas]
-    (rows, steps), _ = read_tables(path, *sized, format=FORMAT, version=VERSION)
+    (rows, steps), _ = common.read_tables(path, *sized, format=FORMAT, version=VERSION)
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -297,11 +286,11 @@ def write_episodes(
     same = fitted(parts)
     own = dict(facts or {})
     if not is_bundled(task.states) and STATES_DIGEST not in own:
-        own[STATES_DIGEST] = sha256(resolve_states(task.states))
+        own[STATES_DIGEST] = common.sha256(resolve_states(task.states))
     attributes = {
         **own,
         "form": "recording" if parts[0].is_recording else "columns",
-        "task": as_json(task),
+        "task": common.as_json(task),
         "rope": task.rope_config.fingerprint,
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
         **_digests_of(same),
@@ -310,7 +299,7 @@ def write_episodes(
         # beside its states, by which the starts that follow from seeds are found
         same, pack = _packed(same, EpisodeDataset(Path(path), same[0], task, attributes)), True
     tables = zip(*same, strict=True)
-    write_tables(path, tables, attributes, format=FORMAT, version=VERSION, pack=pack)
+    common.write_tables(path, tables, attributes, format=FORMAT, version=VERSION, pack=pack)
 
 
 def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
@@ -371,9 +360,8 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
 
 def _starts(task: TaskConfig, seeds: NDArray[np.int64]) -> NDArray[np.float64]:
     """Draw starts again, float64 (n, nq); zeros where no seed is known."""
-    from knotgym.envs import EpisodeBatch  # the engines, which few readers need
 
-    batch = EpisodeBatch(task)
+    batch = envs.EpisodeBatch(task)
     starts = np.zeros((len(seeds), batch.start_qpos.shape[1]))
     known = np.flatnonzero(seeds >= 0)
     for first in range(0, len(known), _DRAWN):
@@ -427,5 +415,5 @@ def episode_file(source: Any) -> Path:
         raise InvalidFile(f"{root} holds several datasets; choose one of them: {listed}")
     if not found:
         raise MissingFile(f"no episodes at {root}")
-    require_no_links(root, found)
+    common.require_no_links(root, found)
     return found[0]

@@ -35,18 +35,11 @@ from h5py import h5a, h5d, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import (
-    Counts,
-    InvalidFile,
-    InvalidInput,
-    as_json,
-    atomic_write,
-    new_hdf5,
-    one_line,
-    read_json,
-    require_output,
-    sha256,
+from knotgym import (
+    common,
+    envs,  # OpenCV on first use
 )
+from knotgym.common import Counts, InvalidFile, InvalidInput, new_hdf5, one_line, require_output
 from knotgym.datasets.episode_dataset import (
     FILE,
     MAIN,
@@ -157,13 +150,13 @@ def publish(
     if states is not None:
         task = replace(task, states=metadata.dataset_id)
     pulls = sum(int(part.episodes["length"].sum()) for part in parts)
-    with atomic_write(folder, overwrite=overwrite) as temporary:
+    with common.atomic_write(folder, overwrite=overwrite) as temporary:
         data = temporary / "data"
         data.mkdir(parents=True)
         own = {**(facts or {}), "metadata": asdict(metadata)}
         if states is not None:
             copy_file(Path(states), data / STATES_FILE)
-            own[STATES_DIGEST] = sha256(data / STATES_FILE)
+            own[STATES_DIGEST] = common.sha256(data / STATES_FILE)
         # what is stepped again is read once, so it needn't be mapped
         pack = all(part.is_recording for part in parts)
         write_episodes(data / FILE, parts, task, own, pack=pack)
@@ -242,7 +235,9 @@ def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
     try:
         with TemporaryDirectory() as room:
             write_minari(dataset, Path(room))
-            expected, found = (read_json(path) for path in (Path(room) / METADATA, described))
+            expected, found = (
+                common.read_json(path) for path in (Path(room) / METADATA, described)
+            )
             for name in sorted({**expected, **found}.keys() - {*_COUNTED}):
                 if not _same_json(found.get(name), expected.get(name)):
                     yield f"{described}: {name} isn't what follows from the episodes"
@@ -300,7 +295,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
 def _environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
     """Return the environment's spec with every setting, so that later defaults don't matter."""
     spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.tasks[0].capitalize()}-v0"))
-    spec.kwargs = as_json(task)
+    spec.kwargs = common.as_json(task)
     return spec
 
 
@@ -376,14 +371,13 @@ def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], 
 
 def _observations(dataset: EpisodeDataset, k: int) -> Arrays:
     """Return an episode's observations by path."""
-    from knotgym.envs import Observer  # needs OpenCV
 
     one = dataset.select([k])
     own, steps = one.episodes
     points, goals = steps["observation"].astype(np.float64), own["goal_points"].astype(np.float64)
     wanted = own["goal_visits"][[0] * steps.rows]
     pictures = partial(one.pictures, beside_goals=True)
-    observer = Observer(dataset.task)
+    observer = envs.Observer(dataset.task)
     shown = observer.observe(points, steps["visits"], goals[0], wanted, pictures)
     if not isinstance(shown, dict):
         return {"observations": shown}
@@ -480,7 +474,5 @@ def _bounds(task: TaskConfig) -> str:
     """
     from minari.serialization import serialize_space
 
-    from knotgym.envs import Observer
-
-    bounds = serialize_space(Observer(task).space, to_string=False)
+    bounds = serialize_space(envs.Observer(task).space, to_string=False)
     return json.dumps(bounds, separators=(",", ":"))

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym import topology
 from knotgym.common import Failed, InvalidInput, Stream, Table, as_json
 from knotgym.drawing import drawn_curve
 from knotgym.generate.generate_config import GenerateConfig
@@ -26,18 +27,7 @@ from knotgym.quality import measure
 from knotgym.rope import Array, RopeConfig, Simulation, simulation_of
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import STATE_SPLITS, families
-from knotgym.topology import (
-    LISTED_NX,
-    UNKNOT,
-    GaussCode,
-    based_diagrams,
-    chiralities,
-    codes_of,
-    diagram_of,
-    shows,
-    type_of,
-    uniform_code,
-)
+from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, diagram_of, shows, type_of
 
 _RARE = 20_000  # random codes to try until one shows the knot
 
@@ -79,9 +69,9 @@ class WantedCodes:
         if config.codes:
             self.listed = [code for code in config.parsed if code.nx == nx]
         elif nx <= LISTED_NX:
-            self.listed = codes_of(type_of(config.knot), nx)
+            self.listed = topology.codes_of(type_of(config.knot), nx)
         elif nx == diagram_of(config.knot).nx:
-            self.listed = based_diagrams(diagram_of(config.knot))
+            self.listed = topology.based_diagrams(diagram_of(config.knot))
         counted = self.listed is not None and (config.codes or nx <= LISTED_NX)
         self.existing = len(self.listed or ()) if counted else None
         self._drawn: dict[GaussCode, None] = {}
@@ -123,7 +113,7 @@ class WantedCodes:
         """Draw the next random code that shows the knot."""
 
         for _ in range(_RARE):
-            code = uniform_code(self._nx, self._rng)
+            code = topology.uniform_code(self._nx, self._rng)
             if shows(code, self._knot):
                 return code
         of = f"{_RARE} random codes with {self._nx} crossings"
@@ -330,7 +320,7 @@ def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
     """Return the chiralities with which a code shows the knot."""
     if code.chirality is not None:
         return (code.chirality,)
-    patterns = chiralities(code)
+    patterns = topology.chiralities(code)
     if type_of(knot) == UNKNOT:
         return patterns
     return tuple(letters for letters in patterns if shows(GaussCode(code.visits, letters), knot))

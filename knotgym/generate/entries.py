@@ -25,23 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    Column,
-    Counts,
-    InvalidFile,
-    KnotgymError,
-    Mark,
-    Schema,
-    Stream,
-    Table,
-    as_json,
-    format_of,
-    from_json,
-    one_line,
-    read_tables,
-    sha256,
-    write_tables,
-)
+from knotgym import common
+from knotgym.common import Column, Counts, InvalidFile, KnotgymError, Schema, Stream, Table
 from knotgym.control import replay
 from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
@@ -90,7 +75,7 @@ class Entry(NamedTuple):
             yield from faults
         show(results, progress.console, self.config.task.engine)
         for number, claimed in enumerate(self.claimed, 1):
-            progress.say(one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
+            progress.say(common.one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
 
     def recounted(self) -> Iterator[tuple[Result, list[str]]]:
         """Replay: yield the result of each setup, and its faults."""
@@ -134,13 +119,13 @@ def write_entry(
     exact = {"force": made["force"]} if bins is None else {"bins": bins}
     pulls = Table(PULLED, {"bead": made["bead"], **exact})
     attributes = {
-        "config": as_json(config),
+        "config": common.as_json(config),
         "states": states_digests(config),
         "rope": RopeConfig().fingerprint,
         "claimed": claimed,
     }
     attributes["digest"] = _digest(attributes, rows, [pulls])
-    write_tables(path, [rows, pulls], attributes, format=FORMAT, version=VERSION, pack=True)
+    common.write_tables(path, [rows, pulls], attributes, format=FORMAT, version=VERSION, pack=True)
 
 
 def read_entry(path: Path) -> Entry | None:
@@ -149,14 +134,16 @@ def read_entry(path: Path) -> Entry | None:
     Raises:
         InvalidFile: it is damaged, changed, incomplete, or made with other states or another rope.
     """
-    if not (path.is_file() and format_of(path) == FORMAT):
+    if not (path.is_file() and common.format_of(path) == FORMAT):
         return None
-    (rows, pulls), attributes = read_tables(path, ROWS, PULLED, format=FORMAT, version=VERSION)
+    (rows, pulls), attributes = common.read_tables(
+        path, ROWS, PULLED, format=FORMAT, version=VERSION
+    )
     if attributes.pop("digest", None) != _digest(attributes, [rows], [pulls]):
         raise InvalidFile(f"{path}: its columns and attributes don't match its digest")
     raised = KnotgymError, LookupError, TypeError, ValueError
     with InvalidFile.instead(f"{path} has no valid configuration", *raised):
-        config = from_json(EvaluateConfig, attributes["config"])
+        config = common.from_json(EvaluateConfig, attributes["config"])
         states, claimed = states_digests(config), [dict(one) for one in attributes["claimed"]]
     if attributes.get("states") != states:
         raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
@@ -193,9 +180,10 @@ def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> 
 
 def states_digests(config: EvaluateConfig) -> dict[str, str]:
     """The digests of the sets of states, by their names; own files have one name."""
-    named = [name for _, _, name in Mark.fields(EvaluateConfig, config, "states")]
+    named = [name for _, _, name in common.Mark.fields(EvaluateConfig, config, "states")]
     return {
-        str(name) if is_bundled(name) else "own": sha256(resolve_states(name)) for name in named
+        str(name) if is_bundled(name) else "own": common.sha256(resolve_states(name))
+        for name in named
     }
 
 

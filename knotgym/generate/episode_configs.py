@@ -9,17 +9,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from importlib.resources import files
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
+from knotgym import control, datasets  # loaded on first use, as the command line reads this
 from knotgym.common import Distinct, InvalidInput, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.rope import MUJOCO
-
-if TYPE_CHECKING:
-    from knotgym.datasets import Episodes
 
 # Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
 OBSERVATION = "state"
@@ -83,17 +81,13 @@ class CollectConfig:
         """The environment with the observation that the policy gets."""
         return replace(self.task, observation=self.policy_observation or self.task.observation)
 
-    def played(self, numbers: range, seed: int) -> Episodes:
+    def played(self, numbers: range, seed: int) -> datasets.Episodes:
         """Play some of the episodes that a collection with this seed has, by their numbers."""
-        # both compute, and the command line reads this module first
-        from knotgym.control import make_policy, rollouts
-        from knotgym.datasets import PULLS, STEPS
-
-        policy = make_policy(self.policy)
-        adviser = make_policy(replace(self.policy, policy="expert")) if self.labels else None
+        policy, expert = control.make_policy(self.policy), replace(self.policy, policy="expert")
+        adviser = control.make_policy(expert) if self.labels else None
         seeds = [Stream.EPISODE.derived_seed(seed, number) for number in numbers]
-        kept = PULLS if self.form == "recording" else STEPS
-        return rollouts(policy, self.policy_task, seeds, keep=kept, adviser=adviser)
+        kept = datasets.PULLS if self.form == "recording" else datasets.STEPS
+        return control.rollouts(policy, self.policy_task, seeds, keep=kept, adviser=adviser)
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym import runs
+from knotgym import rendering, runs
 from knotgym.common import InvalidInput, Occupied, Stream, atomic_write, require_output
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes
@@ -119,9 +119,7 @@ def evaluate(
         wrong = "needs the --out of the evaluation" if out is None else "is no film and no entry"
         raise InvalidInput(f"a shard {wrong}")
     if video is not None:
-        from knotgym.rendering import Film
-
-        Film(video)
+        rendering.Film(video)
     _require_playable(config)
     made_by, results, films = runs.identity(config), list[Result](), list[Episodes]()
     compiles: dict[str, Any] = {"engine": config.task.engine}
@@ -138,7 +136,7 @@ def evaluate(
             tasks = (task for _, task in config.setups())
             frames = [*chain.from_iterable(map(film, films, tasks))]
             with atomic_write(video, overwrite=options.overwrite) as temporary:
-                Film(temporary).write(frames)
+                rendering.Film(temporary).write(frames)
         if record is not None:
             with atomic_write(record, overwrite=options.overwrite) as temporary:
                 write_entry(temporary, config, played, _claims(config, results, made_by))
@@ -243,8 +241,6 @@ def film(episodes: Episodes, task: TaskConfig) -> list[NDArray[np.uint8]]:
     Returns:
         RGB pictures of one size, uint8, one for each state.
     """
-    from knotgym.rendering import Film
-
     frames = list[NDArray[np.uint8]]()
     for one in (episodes.select([row]) for row in range(episodes.episodes.rows)):
         own, steps = one.episodes, one.steps
@@ -253,5 +249,5 @@ def film(episodes: Episodes, task: TaskConfig) -> list[NDArray[np.uint8]]:
         headings = [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)]
         ropes, goals = (a.astype(np.float64) for a in (steps["observation"], own["goal_points"]))
         reached = one.goal_reached(task)
-        frames += Film.frames([*ropes], goals[0], headings, pulls, reached, task.views)
+        frames += rendering.Film.frames([*ropes], goals[0], headings, pulls, reached, task.views)
     return frames

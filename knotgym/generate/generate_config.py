@@ -10,23 +10,14 @@ from typing import Annotated
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
+from knotgym import topology
 from knotgym.common import Distinct, InvalidInput, Seed, Share, choice, configuration
 from knotgym.drawing import DrawingConfig
 from knotgym.envs import TaskConfig
 from knotgym.quality import Limits
 from knotgym.rope import CHAIN, ENGINES, MUJOCO
 from knotgym.states import SOURCES
-from knotgym.topology import (
-    LISTED_NX,
-    UNKNOT,
-    GaussCode,
-    codes_of,
-    diagram_of,
-    knot_type,
-    shows,
-    type_of,
-    with_chirality,
-)
+from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, diagram_of, shows
 
 _BEADS = 100  # of the rope that demonstrations are made with
 # Settings that states taken from ropes need.
@@ -154,7 +145,7 @@ class GenerateConfig:
                 f" takes nx up to {LISTED_NX}; give a count"
             )
         for code in self.parsed:
-            with_chirality(code)
+            topology.with_chirality(code)
             if code.nx not in self.nx:
                 raise InvalidInput(
                     f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"
@@ -183,8 +174,8 @@ class GenerateConfig:
                 )
         for code in self.parsed:
             if not shows(code, self.knot):
-                seen = knot_type(code)
-                other_hand = " (handedness differs)" if seen == type_of(self.knot) else ""
+                seen = topology.knot_type(code)
+                other_hand = " (handedness differs)" if seen == topology.type_of(self.knot) else ""
                 raise InvalidInput(
                     f"the code {str(code)!r} shows the knot {seen}, not {self.knot}{other_hand}"
                 )
@@ -204,7 +195,7 @@ class GenerateConfig:
             return [(self.source, self.nx)]
         special = any(getattr(self, name) != value for name, value in _OF_ROPES.items())
         few = [nx for nx in self.nx if nx <= LISTED_NX and not special]
-        played = [nx for nx in few if self.count > _DRAWN * len(codes_of(UNKNOT, nx))]
+        played = [nx for nx in few if self.count > _DRAWN * len(topology.codes_of(UNKNOT, nx))]
         drawn = [nx for nx in self.nx if nx not in played]
         return [(name, tuple(nx)) for name, nx in (("play", played), ("drawing", drawn)) if nx]
 

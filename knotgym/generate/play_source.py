@@ -140,7 +140,9 @@ class _PhasePlayer(Player):
         config, phases = policy.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
         phases += [(config.random, self._random), (config.opening, self._open)]
         for _ in range(config.rounds):
-            phases += [(config.scripted, self._script), (config.spreading, self._spread)]
+            # of the scripted policy's pulls, without the lanes
+            phases += [(config.scripted, lambda ids: self._scripted.act(ids)[1:3])]
+            phases += [(config.spreading, self._spread)]
         # step after which each phase ends; `searchsorted` finds the phase of a step
         self._ends = np.cumsum([length for length, _ in phases])
         self._phases = [phase for _, phase in phases]
@@ -218,10 +220,6 @@ class _PhasePlayer(Player):
         size = np.maximum(np.sqrt((away**2).sum(axis=1, keepdims=True)), 1e-9)
         slopes = [self._rngs[index].uniform(-_SLOPE, _SLOPE) for index in ids.tolist()]
         return quantized(np.column_stack([away / size, slopes])).astype(np.float32)
-
-    def _script(self, ids: Ids) -> BeadsAndForces:
-        pulls = self._scripted.act(ids)
-        return pulls.beads, pulls.forces
 
 
 def rows_of_ropes(

@@ -16,16 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.common import (
-    Failed,
-    InvalidFile,
-    InvalidInput,
-    KnotgymError,
-    atomic_write,
-    one_line,
-    read_json,
-    require_output,
-)
+from knotgym import common
+from knotgym.common import Failed, InvalidFile, InvalidInput, KnotgymError, one_line, require_output
 from knotgym.control import replay
 from knotgym.datasets import expanded, open_episodes, suite_card
 from knotgym.generate.collection import collect, require_collectable, run_facts
@@ -106,7 +98,7 @@ def _require_own_card(folder: Path, options: RunOptions) -> None:
     overwrite.
     """
     try:
-        own = read_json(folder / "suite.json")["format"] == _FORMAT
+        own = common.read_json(folder / "suite.json")["format"] == _FORMAT
     except (OSError, ValueError, KeyError, TypeError):
         own = False
     if not (own and options.resume):
@@ -187,5 +179,5 @@ def _write_card(sets: Mapping[str, Any], seed: int, folder: Path) -> None:
     card = suite_card(report, references)
     texts = json.dumps(report, indent=1, sort_keys=True) + "\n", card
     for name, text in zip(_CARD, texts, strict=True):
-        with atomic_write(folder / name) as temporary:
+        with common.atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
