@@ -143,7 +143,7 @@ def run_play(kills: int, room: Path) -> dict[str, Any]:
     seeds, force = own.episodes["seed"], own.steps["force"]
     noted = dict(line.split() for line in (room / ".noted").read_text().splitlines())
     for number, pulls in noted.items():
-        rows = np.flatnonzero(seeds == Session(PLAYED, 4, int(number)).episode_seed)
+        rows = np.flatnonzero(seeds == Session(PLAYED, 4, int(number)).batch.seed[0])
         steps = np.isin(own.episode_of(), rows)
         more = np.any(force[steps] != 0, axis=1).sum() - int(pulls)  # one may not be logged yet
         if len(rows) != 1 or more not in (0, 1):

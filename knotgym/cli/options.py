@@ -143,7 +143,8 @@ def command(
         # a terminal breaks paragraphs and entries by its own width
         doc = _run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))
         _run.__annotations__ = {one.name: one.annotation for one in parameters}
-        vars(_run).update(__signature__=inspect.Signature(parameters), sections=sections)
+        vars(_run).update(sections=sections, known=known)
+        vars(_run).update(__signature__=inspect.Signature(parameters))
         help = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
         name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
@@ -227,11 +228,6 @@ class Given:
 def run_folder(out: Path | None, name: str) -> Path:
     """Return --out, or else the folder of this name among those of all runs."""
     return out or Path("knotgym-data") / re.sub(r"[^\w.,-]", "-", name)
-
-
-def settings_named(sections: Sections, name: str) -> list[str]:
-    """Return the paths of all fields whose last part is `name`."""
-    return [one.path for one in _all_fields(sections) if one.name == name]
 
 
 def _all_fields(sections: Sections) -> Iterator[_Field]:

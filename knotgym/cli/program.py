@@ -98,12 +98,10 @@ def _mistake(error: CycloptsError) -> str:
     """Say what is wrong with a command line; a setting typed as an option is said to be one."""
     error.verbose = False
     if isinstance(error, UnknownOptionError):
-        from knotgym.cli.options import settings_named
-
         typed = error.token.keyword or ""
         name = typed.partition("=")[0].removeprefix("--").removeprefix("no-").replace("-", "_")
-        sections = getattr(error.target, "sections", {})
-        if paths := list(settings_named(sections, name)):
+        known = getattr(error.target, "known", ())  # all that can be set, see `options.command`
+        if paths := [path for path in known if path.rpartition(".")[2] == name]:
             ways = " or ".join(f"--set {path}=..." for path in paths)
             return f"{typed.partition('=')[0]} is a setting: {ways}"
     if isinstance(error, UnusedCliTokensError):

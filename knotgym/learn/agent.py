@@ -133,12 +133,8 @@ class PicturePlayer:
         Returns:
             The action, float32 (6,): the point that it names, and the force.
         """
-        rope = episode.hypotheses.look(picture)
         # before the first action there is nothing to predict from
-        if episode.named is None:
-            episode.hypotheses.start(rope)
-        else:
-            episode.hypotheses.update(rope, episode.named, episode.force)
+        rope = episode.hypotheses.observe(picture, episode.named, episode.force)
         self._update_goal(episode, rope)
         self._choose_pull(episode)
         episode.step += 1

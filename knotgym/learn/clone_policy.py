@@ -121,7 +121,7 @@ class _ClonePlayer(ActionPlayer):
     def _read(self, index: int) -> tuple[Array, GaussCode]:
         """Return the likeliest vertices of the rope, float64 (beads, 3), and code of the goal."""
         hypotheses = self._seen[index]
-        hypotheses.start(hypotheses.look(self.batch.rgb(index)))
+        hypotheses.observe(self.batch.rgb(index))
         rope, goals = hypotheses.ropes[0], hypotheses.goals
         # the goal isn't shown yet, or the episode would be over
         shown = label(rope)

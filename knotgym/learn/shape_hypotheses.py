@@ -217,19 +217,35 @@ class ShapeHypotheses:
         self.goals = dict[GaussCode, float]()
         self.bead = 0
 
-    def look(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the rope's half of a picture (SIZE, 2 SIZE, 3); read the goal's half at first."""
+    def observe(
+        self, picture: NDArray[np.uint8], named: Array | None = None, force: Array | None = None
+    ) -> NDArray[np.uint8]:
+        """Take in a picture of rope and goal, of which the goal is read once.
+
+        Args:
+            picture: uint8 (SIZE, 2 SIZE, 3).
+            named, force: of the action before it, see `_update`; without them the rope's readings
+                are the hypotheses.
+
+        Returns:
+            The rope's half, uint8 (SIZE, SIZE, 3).
+        """
         size = picture.shape[0]
         if not self.goals:
             self.goals = self.codes(np.ascontiguousarray(picture[:, size:]))
-        return np.ascontiguousarray(picture[:, :size])
+        rope = np.ascontiguousarray(picture[:, :size])
+        if named is None or force is None:
+            self._start(rope)
+        else:
+            self._update(rope, named, force)
+        return rope
 
-    def start(self, picture: NDArray[np.uint8]) -> None:
+    def _start(self, picture: NDArray[np.uint8]) -> None:
         """Take the readings of an episode's first picture, uint8 (SIZE, SIZE, 3), as hypotheses."""
         read, weights = self._reader.read(picture)
         self._keep(read, np.zeros_like(read), weights)
 
-    def update(self, picture: NDArray[np.uint8], named: Array, force: Array) -> None:
+    def _update(self, picture: NDArray[np.uint8], named: Array, force: Array) -> None:
         """Predict the effect of an action and reweight the hypotheses by the next picture.
 
         Args:

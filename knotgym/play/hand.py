@@ -196,8 +196,7 @@ class HandTab:
 
     def _show(self) -> None:
         points = self.session.points
-        self.scene.move(points)
-        self.scene.mark(points)
+        self.scene.move(points, mark=True)
         session, rope = self.session, np.zeros(1, dtype=np.int64)
         (code,), (goal,) = session.batch.codes_of(rope), session.batch.goals_of(rope)
         state = f"{session.task.horizon - len(session.pulls)} pulls left"
@@ -206,7 +205,7 @@ class HandTab:
         elif session.ended:
             state = "**over**: no pulls left"
         recorded = "" if self._recorder is None else f", recorded in `{self._recorder.folder.name}`"
-        if self._recorder is not None and session.helped:
+        if self._recorder is not None and any(pull.helped for pull in session.pulls):
             recorded = ", not recorded, because a policy helped"
         lines = (
             f"**{session.task.task}**, {session.task.nx} crossings, {session.task.split}"

@@ -77,15 +77,17 @@ class RopeScene:
         camera.position = middle + np.array([0.0, 0.0, height])
         camera.look_at = middle
 
-    def move(self, points: Array) -> None:
-        """Show the rope with other vertices, float64 (beads, 3), metres."""
+    def move(self, points: Array, *, mark: bool = False) -> None:
+        """Show the rope with other vertices, float64 (beads, 3), metres; `mark` its crossings."""
         turns, middles = _poses(points)
         with self._client.atomic():
             for mesh in self._meshes:
                 mesh.batched_wxyzs = turns
                 mesh.batched_positions = middles
+        if mark:
+            self._mark(points)
 
-    def mark(self, points: Array) -> None:
+    def _mark(self, points: Array) -> None:
         """Write each crossing's number and sign beside it, in the order of a walk."""
         found = find_crossings(points)
         first = np.minimum(found.over_place, found.under_place)

@@ -61,22 +61,13 @@ class Session:
         """Whether the goal has been reached."""
         return bool(self.batch.successes(_ROPE)[0])
 
-    @property
-    def helped(self) -> bool:
-        """Whether one of the pulls is a policy's."""
-        return any(pull.helped for pull in self.pulls)
-
     def begin(self, number: int) -> None:
         """Reset to the start of an episode."""
         self.number = number
-        self.batch.begin(_ROPE, [self.episode_seed])
+        seed = Stream.EVALUATION_EPISODE.derived_seed(self.seed, number)
+        self.batch.begin(_ROPE, [seed])
         self.pulls, self.reward, self.ended = list[HandPull](), 0.0, False
         self._acting = None
-
-    @property
-    def episode_seed(self) -> int:
-        """The seed of the episode's start and goal."""
-        return Stream.EVALUATION_EPISODE.derived_seed(self.seed, self.number)
 
     def pull(self, bead: int, force: ArrayLike) -> None:
         """Pull a bead for one action; ignored once the episode is over.
@@ -132,7 +123,7 @@ class Session:
             made.compatible_task(self.task)
             self._policies[config] = made
         player = self._policies[config].player(self.batch)
-        player.begin(_ROPE, [Stream.POLICY.generator(self.episode_seed, len(self.pulls))])
+        player.begin(_ROPE, [Stream.POLICY.generator(int(self.batch.seed[0]), len(self.pulls))])
         return player
 
     def _take(self, pull: HandPull) -> None:

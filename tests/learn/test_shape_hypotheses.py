@@ -52,7 +52,7 @@ def tracked() -> tuple[ShapeHypotheses, TwoReadings]:
 def test_motion_tells_a_rope_from_its_mirror(tracked: tuple[ShapeHypotheses, TwoReadings]) -> None:
     hypotheses, reader = tracked
     picture = np.zeros((128, 128, 3), dtype=np.uint8)
-    hypotheses.start(picture)
+    hypotheses._start(picture)
     chain = ChainSimulation(1)
     rope, speeds, force = tilted_loop()[None], np.zeros((1, BEADS, 3)), np.array([0.3, 0.2, 0.8])
     for _ in range(3):
@@ -60,7 +60,7 @@ def test_motion_tells_a_rope_from_its_mirror(tracked: tuple[ShapeHypotheses, Two
         bead = np.linalg.norm(rope[0] - named, axis=1).argmin()
         rope, speeds = imagine(chain, rope, speeds, np.array([bead]), force[None])
         reader.rope = rope[0] - rope[0].mean(axis=0)
-        hypotheses.update(picture, named, force)
+        hypotheses._update(picture, named, force)
     likeliest, true = hypotheses.ropes[0], tilted_loop()
     off, mirrored = (np.abs(likeliest[:, 2] - sign * true[:, 2]).mean() for sign in (1, -1))
     assert off < mirrored and hypotheses.weights[0] > 0.5
