@@ -144,19 +144,16 @@ class PullPlayer(Player):
         self._searches = searches = searches or LaneSearches(batch, config.batch_size)
         self._values = PassValues.of_split(batch.task.split)
         self._rngs: dict[int, np.random.Generator] = {}
-        self._plans: dict[int, PullPlan] = {}
-        # pulls taken of the plan; pulls simulated for all plans of the episode
-        self._taken, self._spent = np.zeros((2, batch.count), np.int64)
+        self._plans: dict[int, list[tuple[int, NDArray[np.float32]]]] = {}  # the next pull is last
+        self._spent = np.zeros(batch.count, np.int64)  # pulls simulated for the episode's plans
         self.planned = searches.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         self._searches.forget(ids)
         self.planned[ids] = 0
         self._rngs |= dict(zip(ids.tolist(), rngs, strict=True))
-        for index in ids.tolist():
-            self._plans.pop(index, None)
-        # budgets are an episode's own
-        self._taken[ids] = self._spent[ids] = 0
+        self._plans |= {index: [] for index in ids.tolist()}
+        self._spent[ids] = 0  # budgets are an episode's own
 
     def act(self, ids: Ids) -> Pulls:
         self.look(ids)
@@ -170,9 +167,8 @@ class PullPlayer(Player):
         for index in ids[~self._searches.thinking[ids]].tolist():
             used_up = self._spent[index] + config.batch_size > config.budget
             # a rope that shows its goal is left alone until it has held it
-            if self._unfinished(index) or batch.shown[index] or used_up:
+            if self._plans[index] or batch.shown[index] or used_up:
                 continue
-            self._plans.pop(index, None)
             (goal,) = batch.goals_of(np.array([index]))
             # imported here, as the expert seldom needs it
             from knotgym.control.planning.pulls import PullSearch
@@ -188,22 +184,16 @@ class PullPlayer(Player):
 
     def _decided(self, index: int, plan: PullPlan) -> None:
         """Follow a plan that a search has found."""
-        self._plans[index] = plan
-        self._taken[index] = 0
+        self._plans[index] = [*zip(plan.beads.tolist(), plan.forces, strict=True)][::-1]
         self._spent[index] += plan.spent
 
     def pulls(self, ids: Ids) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """The next pulls of plans; no force where there is no plan."""
         beads, forces = np.zeros(len(ids), np.int64), np.zeros((len(ids), 3), np.float32)
         for row, index in enumerate(ids.tolist()):
-            if self._unfinished(index):
-                plan, at = self._plans[index], self._taken[index]
-                beads[row], forces[row] = plan.beads[at], plan.forces[at]
-        self._taken[ids] += 1
+            if self._plans[index]:
+                beads[row], forces[row] = self._plans[index].pop()
         return beads, forces
-
-    def _unfinished(self, index: int) -> bool:
-        return index in self._plans and self._taken[index] < len(self._plans[index].beads)
 
     def _in_chain(self, check: Simulation) -> tuple[Array, Array]:
         states, points = self._searches.in_chain(check, np.zeros(1, np.int64))
