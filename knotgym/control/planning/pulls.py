@@ -43,7 +43,8 @@ _FAILURES = 2  # plans from one state that may lead no nearer to the goal, until
 # The next ten were set by hand when the planner was written, and no record says what others gave.
 # They decide what is tried first, so another value finds other plans, with more or fewer simulated
 # pulls, and recorded episodes of `planner` no longer repeat. None can make a plan wrong, as each is
-# acted out before it counts.
+# acted out before it counts. Half and twice the first two: of 24 ties of nx 3 in the chain engine
+# all are solved, with 687 to 818 simulated pulls an episode; 931 with these.
 _GREED = 4.0  # exponent of the preference for codes near the goal
 _STRIDE = 6.0  # pulls that a change of code is expected to take
 _LEAST_STRIDE = 2  # and takes at least: a state too late for that is dropped
