@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Column, InvalidInput, Schema, Table, padded
 from knotgym.envs import TaskConfig
-from knotgym.rope import TowBound
+from knotgym.rope import FORCE_BINS, TowBound
 from knotgym.topology import CodeArrays, GaussCode
 
 Ids = NDArray[np.int64]
@@ -47,10 +47,10 @@ STARTS = Schema("episodes", columns_in("starts"), "where an episode begins")
 RECORDED = Schema("episodes", columns_in("starts", "played"), "an episode")
 EPISODES = Schema("episodes", columns_in("starts", "played", "goals"), "an episode")
 PULLS = Schema("steps", columns_in("pulls"), "a state and the pull made in it")
+(_BINS,) = columns_in("bins")
+_STORED = *PULLS.columns, _BINS._replace(unit=f"max_force / {FORCE_BINS}")
 # as files of recordings have them: forces in one of two columns
-STORED_PULLS = PULLS._replace(
-    columns=tuple(c._replace(optional=c.name != "bead") for c in columns_in("pulls", "bins"))
-)
+STORED_PULLS = PULLS._replace(columns=tuple(c._replace(optional=c.name != "bead") for c in _STORED))
 _STEP = "a state, the pull made in it, and what it brought"
 STEPS = Schema("steps", columns_in("pulls", "frames"), _STEP)
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, STORED_PULLS)}  # of files
