@@ -111,6 +111,16 @@ def test_ogbench_files_hold_every_state_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(train["actions"], first["action"])
 
 
+def test_ogbench_files_appear_together(tmp_path: Path, monkeypatch: Patch) -> None:
+    calls, write = [0, 1], np.savez_compressed
+    monkeypatch.setattr(
+        np, "savez_compressed", lambda *a, **named: write(*a, **named) if calls.pop() else 1 / 0
+    )
+    with pytest.raises(ZeroDivisionError):
+        export(EXPERT, tmp_path, "ogbench", replay)
+    assert not list(tmp_path.iterdir())
+
+
 def test_parquet_tables_hold_every_number(states_path: str, huggingface: Path) -> None:
     import pyarrow.parquet as parquet
 
