@@ -36,7 +36,7 @@ def key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def config(url: str, mode: str = "stateless", **more: Any) -> PromptConfig:
     chat = ChatConfig(model="m", base_url=url, timeout=5.0, attempts=2)
-    task = TaskConfig(task="unknot", nx=2, horizon=4, image_size=16)
+    task = TaskConfig(task="unknot", nx=2, horizon=4, image_size=16, engine="chain")
     usual = {"mode": mode, "chat": chat, "task": task, "episodes": 1, "side_by_side": 1}
     return PromptConfig(**{**usual, **more})
 
@@ -164,14 +164,14 @@ def test_a_server_that_rejects_every_request_ends_the_run_until_restarted(tmp_pa
 
     server, out = ChatServer(answer), tmp_path / "run"
     with server.serving():
-        own = config(server.url, episodes=30)
+        own = config(server.url, episodes=24)
         for options in (QUIET, RESUME):
             with pytest.raises(InvalidInput, match="rejects all of 20 .* --restart"):
                 run_prompts(own, out, options)
         assert len(server.requests) == 20
         mended[0] = True
         run_prompts(own, out, RunOptions(quiet=True, restart=True))
-    assert json.loads((out / "result.json").read_text())["answers"] == {"valid": 120}
+    assert json.loads((out / "result.json").read_text())["answers"] == {"valid": 96}
 
 
 def test_side_by_side_gives_the_same_transcripts(tmp_path: Path) -> None:
