@@ -500,7 +500,7 @@ def _observed(
 def _shown(
     points: Array, crossings: Crossings, symmetries: Sequence[Symmetry], config: ImagesConfig
 ) -> list[str]:
-    """Return the code that a frame shows after each symmetry, or "-" for one near its base bead."""
+    """Return the code that a frame shows after each symmetry; "-" if its base is at a crossing."""
     least, beads = config.limits.base_spacing or 0.0, len(points)
     visits = np.concatenate([crossings.over_place, crossings.under_place])
     # where each walk starts, an old vertex; its first bead lies behind that in a reversed walk

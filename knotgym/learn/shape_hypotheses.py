@@ -220,7 +220,7 @@ class ShapeHypotheses:
     def observe(
         self, picture: NDArray[np.uint8], named: Array | None = None, force: Array | None = None
     ) -> NDArray[np.uint8]:
-        """Take in a picture of rope and goal, of which the goal is read once.
+        """Read a picture of rope and goal; the goal is read once.
 
         Args:
             picture: uint8 (SIZE, 2 SIZE, 3).

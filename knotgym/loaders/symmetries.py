@@ -121,7 +121,8 @@ class Symmetries(Symmetry):
 
         Args:
             batch: what `arrays` or `Transitions.batch` returns, of any view of the actions.
-            beads: of a rope, for actions that number them beside codes or pictures; vertices tell.
+            beads: of a rope, if actions number them and codes or pictures are observed; the number
+                is known from vertices.
 
         Returns:
             The same arrays; without the samples in which a force would leave [-1, 1].
