@@ -502,17 +502,8 @@ def _shown(
 ) -> list[str]:
     """Return the code that a frame shows after each symmetry; "-" if its base is at a crossing."""
     least, beads = config.limits.base_spacing or 0.0, len(points)
-    visits = np.concatenate([crossings.over_place, crossings.under_place])
-    # where each walk starts, an old vertex; its first bead lies behind that in a reversed walk
-    starts = [(-one.base_shift if one.reverse else one.base_shift) % beads for one in symmetries]
-    bases = [(at - one.reverse) % beads for at, one in zip(starts, symmetries, strict=True)]
-    spacing, found = base_spacing(points, crossings, bases), list[str]()
-    for far, at, one in zip(spacing >= least, starts, symmetries, strict=True):
-        code = crossings.code.reflected() if one.reflect else crossings.code
-        code = code.switched() if one.switch else code
-        if one.reverse:
-            code = code.reversed().rebased(int((visits > (at or beads)).sum()))
-        else:
-            code = code.rebased(int((visits < at).sum()))
-        found.append(str(code) if far else "-")
-    return found
+    # the first bead of a reversed walk lies before the vertex that it starts at
+    starts = [-one.base_shift - 1 if one.reverse else one.base_shift for one in symmetries]
+    far = base_spacing(points, crossings, [start % beads for start in starts]) >= least
+    codes = (str(crossings.code_after(one, beads)) for one in symmetries)
+    return [code if shown else "-" for code, shown in zip(codes, far, strict=True)]

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import InvalidInput, Threads
 from knotgym.topology.crossing_kernel import CROSSING, SAME, Columns, count_hits, scan, scan_rows
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import Symmetry
 
 Array = NDArray[Any]
 _FINITE = "every x, y, z must be a finite number"
@@ -64,6 +65,16 @@ class Crossings:
     def over_points(self) -> NDArray[np.float64]:
         """Where the upper strands pass, float64 (n, 3), metres."""
         return np.column_stack([self.position, self.over_z])
+
+    def code_after(self, symmetry: Symmetry, beads: int) -> GaussCode:
+        """Return the code of the rope, of so many beads, that one symmetry makes of this one."""
+        code = self.code.reflected() if symmetry.reflect else self.code
+        code = code.switched() if symmetry.switch else code
+        visits, start = np.concatenate([self.over_place, self.under_place]), symmetry.base_shift
+        if symmetry.reverse:
+            # from the old vertex -start backwards; what lies beyond it comes last
+            return code.reversed().rebased(int((visits > (-start % beads or beads)).sum()))
+        return code.rebased(int((visits < start % beads).sum()))
 
     def strand_spacing(self, pixels: NDArray[np.float64], walk: float) -> float:
         """Return the smallest distance in the picture, pixels, of vertices on different strands.
