@@ -1,6 +1,4 @@
-"""What can go wrong while a command writes: it is one line, nothing half-written is left, and
---resume finishes with the same bytes.
-"""
+"""A command that fails or is stopped: one line, nothing half-written, and --resume goes on."""
 
 import json
 import os
@@ -9,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -62,6 +61,14 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(tmp_path: Path) -> 
 
 
 @pytest.mark.thorough
+def test_a_worker_that_dies_while_another_starts_breaks_the_pool() -> None:
+    with pytest.raises(BrokenExecutor), executor(2) as pool:
+        pool.submit(time.sleep, 1)
+        vars(pool)["_call_queue"]._reader.close()  # as the pool does once it finds a worker dead
+        pool.submit(time.sleep, 1)
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("send", "asked"), [(os.kill, [signal.SIGTERM]), (os.killpg, [signal.SIGINT] * 2)]
 )
@@ -102,5 +109,4 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
 
 def children(process: int) -> list[int]:
     """The processes that one has started."""
-    listed = Path(f"/proc/{process}/task/{process}/children").read_text()
-    return [int(word) for word in listed.split()]
+    return [*map(int, Path(f"/proc/{process}/task/{process}/children").read_text().split())]

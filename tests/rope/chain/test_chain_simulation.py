@@ -1,6 +1,4 @@
-"""The chain engine moves ropes as MuJoCo does, to a millimetre, keeps the knot, and repeats
-itself to the bit.
-"""
+"""The chain engine moves ropes as MuJoCo does, to a millimetre, and repeats itself to the bit."""
 
 import numpy as np
 import pytest
