@@ -12,6 +12,7 @@ dies, Dask repeats its calls on other workers, with the same bytes.
 Kernels are compiled before a run, so that its processes don't all wait for the same ones.
 """
 
+import errno
 import gc
 import multiprocessing
 import os
@@ -71,9 +72,9 @@ class _Processes(ProcessPoolExecutor):
             try:
                 return super().submit(fn, *args, **kwargs)
             except OSError as error:
-                if error.errno is not None:
+                if error.errno not in (None, errno.EPIPE):
                     raise
-                # a worker died while this one was handed its queue, which is closed by now
+                # this worker died as it started, or one before it and the queue is closed by now
                 raise BrokenProcessPool(*error.args) from error
 
 
