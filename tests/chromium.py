@@ -1,6 +1,4 @@
-"""A headless Chromium, spoken to through its pipe by the DevTools protocol: no other package, no
-port.
-"""
+"""A headless Chromium, spoken to through its pipe by the DevTools protocol, without a port."""
 
 import json
 import os

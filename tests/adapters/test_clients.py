@@ -1,6 +1,4 @@
-"""The code of docs/clients.md and the clients' own readers; run with -m clients, where each is
-installed.
-"""
+"""The code of docs/clients.md and the clients' own readers, each where it is installed."""
 
 import os
 import re

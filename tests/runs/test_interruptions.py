@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -109,4 +109,6 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
 
 def children(process: int) -> list[int]:
     """The processes that one has started."""
-    return [*map(int, Path(f"/proc/{process}/task/{process}/children").read_text().split())]
+    with suppress(FileNotFoundError):  # it has ended
+        return [*map(int, Path(f"/proc/{process}/task/{process}/children").read_text().split())]
+    return []
