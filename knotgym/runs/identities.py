@@ -6,7 +6,7 @@ or recognized as finished if its identity is the same; otherwise the error names
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,9 @@ class Identity(dict[str, Any]):
     @property
     def reads(self) -> list[Path]:
         """The files that the run reads."""
-        return list(_leaves(self.files))
+        found: list[Path] = []
+        _digests(self.files, found.append)
+        return found
 
     def require_unchanged(self) -> None:
         """Raise InvalidInput if a file has changed since."""
@@ -83,21 +85,9 @@ def identity(
     return made
 
 
-def _digests(files: Any) -> Any:
-    """Replace paths by the SHA-256 of their files."""
-    if isinstance(files, Mapping):
-        return {name: _digests(files[name]) for name in sorted(files)}
-    if isinstance(files, list):
-        return [_digests(one) for one in files]
-    return sha256(files) if isinstance(files, Path) else files
-
-
-def _leaves(files: Any) -> Iterator[Path]:
-    if isinstance(files, Path):
-        yield files
-    elif isinstance(files, Mapping | list):
-        for one in files.values() if isinstance(files, Mapping) else files:
-            yield from _leaves(one)
+def _digests(files: Any, digest: Callable[[Path], Any] = sha256) -> Any:
+    """Replace paths by the SHA-256 of their files, or by what another function returns."""
+    return json.loads(json.dumps(files, default=digest, sort_keys=True))
 
 
 def versions() -> dict[str, str]:

@@ -54,29 +54,15 @@ WHOLE = Shard()
 
 
 @configuration
-class Existing:
-    """What to do with the output of an earlier run; by default it is kept and the run refused.
+class RunOptions:
+    """Execution options; they don't change the output, but a shard makes a part of it.
+
+    The output of an earlier run is kept and the run refused, unless the first three say otherwise.
 
     Attributes:
         resume: finish an interrupted run.
         restart: delete the work of an interrupted run and start again.
         overwrite: replace an existing output once the new one is complete.
-    """
-
-    resume: bool = False
-    restart: bool = False
-    overwrite: bool = False
-
-    def __post_init__(self) -> None:
-        if self.resume and self.restart:
-            raise InvalidInput("--resume and --restart exclude each other: give only one of them")
-
-
-@configuration
-class RunOptions(Existing):
-    """Execution options; they don't change the output, but a shard makes a part of it.
-
-    Attributes:
         workers: worker processes, 0 for one per core; doesn't change the result.
         scheduler: address of a Dask scheduler, such as tcp://127.0.0.1:8786, whose workers share a
             file system and run the work (needs the extra dask); by default local processes do.
@@ -85,12 +71,16 @@ class RunOptions(Existing):
         quiet: print errors only.
     """
 
+    resume: bool = False
+    restart: bool = False
+    overwrite: bool = False
     workers: NonNegativeInt = 0
     scheduler: Annotated[str, Mark("typed")] = ""
     shard: Annotated[Shard, BeforeValidator(Shard.parse)] = Shard()
     quiet: bool = False
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        if self.resume and self.restart:
+            raise InvalidInput("--resume and --restart exclude each other: give only one of them")
         if self.scheduler and self.workers:
             raise InvalidInput(f"--workers {self.workers} is for local processes, not clusters")

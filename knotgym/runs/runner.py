@@ -43,7 +43,7 @@ from knotgym.runs.executors import InProcess, compile_first, executor
 from knotgym.runs.identities import Identity, identity_of
 from knotgym.runs.journal import CHECKPOINT, LEFT, Journal, Result, has_work
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import WHOLE, Existing, RunOptions, Shard
+from knotgym.runs.run_options import WHOLE, RunOptions, Shard
 
 Output = TypeVar("Output")
 
@@ -172,7 +172,7 @@ def run(
         replaces, reads = options.overwrite or not shard.is_whole, identity.reads
         free = partial(require_output, out, folder=is_folder, overwrite=replaces, reads=reads)
         free()
-        with staged(out, identity, options, shard) as (folder, journal):
+        with staged(out, identity, options) as (folder, journal):
             free()  # another may have made it before this one had the lock
             if options.resume and journal.is_empty:
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
@@ -204,7 +204,7 @@ def run(
 
 @contextmanager
 def staged(
-    out: Path, identity: Mapping[str, Any], existing: Existing, shard: Shard = WHOLE
+    out: Path, identity: Mapping[str, Any], options: RunOptions
 ) -> Iterator[tuple[Path, Journal]]:
     """Hold the staging folder of an output and its journal; yield both.
 
@@ -212,11 +212,11 @@ def staged(
     end both are removed if the journal is empty; otherwise they stay, for the next run.
 
     Raises:
-        Occupied: another run holds it, or it has the work of an interrupted run and `existing`
+        Occupied: another run holds it, or it has the work of an interrupted run and `options`
             says neither resume nor restart, or a link or another user's file is in its place.
         InvalidFile, InvalidInput: as `Journal` raises.
     """
-    path = shard.journal(out)
+    shard, path = options.shard, options.shard.journal(out)
     folder = _staging_folder(out if shard.is_whole else path)
     beside = sorted(out.parent.glob(f"{escape(out.name)}-shard-*-of-*.journal"))
     others = [other for other in beside if other.is_dir() and other != path]
@@ -225,7 +225,7 @@ def staged(
         require_own(one)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # so that nobody plants files in it
     try:
-        goes_on, begins = existing.resume, existing.restart
+        goes_on, begins = options.resume, options.restart
         with Journal(path, identity, others, resume=goes_on, restart=begins) as journal:
             try:
                 for left in folder.iterdir():
@@ -277,21 +277,21 @@ def require_free(out: Path, options: RunOptions, hint: str) -> None:
 def _is_finished(
     out: Path,
     identity: Mapping[str, Any],
-    existing: Existing,
+    options: RunOptions,
     identity_in: str | Callable[[Path], Any],
 ) -> bool:
     """Whether `out` is already the finished output of the run to resume.
 
     Raises:
-        InvalidInput: it is the output of another run, and `existing` doesn't overwrite it.
+        InvalidInput: it is the output of another run, and `options` doesn't overwrite it.
     """
     # A run that was interrupted while it replaced an older output isn't finished.
-    replaces = existing.overwrite and has_work(_staging_folder(out) / "journal")
-    there = identity_of(out, identity_in) if existing.resume and not replaces else None
+    replaces = options.overwrite and has_work(_staging_folder(out) / "journal")
+    there = identity_of(out, identity_in) if options.resume and not replaces else None
     if there is None:
         return False
     found = list(differences(dict(there), dict(identity)))
-    if found and not existing.overwrite:
+    if found and not options.overwrite:
         raise InvalidInput(
             f"{out} belongs to a different run: {'; '.join(found[:3])}; give the same options"
             " again, or --overwrite to replace it"
