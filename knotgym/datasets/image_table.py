@@ -236,20 +236,25 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
 
 
 def read_table(
-    path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None
+    path: str | os.PathLike[str],
+    split: str | None = None,
+    columns: Sequence[str] | None = None,
+    *,
+    images: bool = True,
 ) -> Any:
     """Read a table, or some of its columns, as a pyarrow.Table.
 
     Args:
         path, split: as in `shards`.
-        columns: names of columns; None for all.
+        columns: names of columns, of which those are read that it has; None for all.
+        images: whether to read the pictures, which are most of the bytes; for all columns.
 
     Raises:
         InvalidFile: a file is not a shard, truncated, or of an unknown format version.
     """
     pa = arrow()
     wanted = None if columns is None else [*dict.fromkeys([*columns, *["split"] * bool(split)])]
-    table = pa.concat_tables([_read(path, wanted) for path in shards(path, split)])
+    table = pa.concat_tables([_read(path, wanted, images) for path in shards(path, split)])
     if split is not None:
         table = table.filter(arrow("pyarrow.compute").equal(table["split"], split))
     return table
@@ -314,17 +319,7 @@ def points_of(table: Any) -> NDArray[np.float64]:
     return points
 
 
-def column_names(shard: Path) -> list[str]:
-    """Return the names of the columns of a shard.
-
-    Raises:
-        InvalidFile: it is truncated or no Parquet file.
-    """
-    with _faults_named(shard):
-        return [*arrow("pyarrow.parquet").read_schema(shard).names]
-
-
-def _read(path: Path, columns: list[str] | None) -> Any:
+def _read(path: Path, columns: list[str] | None, images: bool) -> Any:
     with _faults_named(path):
         file = arrow("pyarrow.parquet").ParquetFile(path)
         named = _named(file.schema_arrow)
@@ -336,7 +331,10 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         )
     with _faults_named(path):
         _require_schema(file, os.path.getsize(path))
-        table, known = file.read(columns=columns), columns_among(file.schema_arrow.names)
+        known = columns_among(file.schema_arrow.names)
+        if not images:
+            columns = [name for name, kind in known.items() if kind != "image"]
+        table = file.read(columns=columns)
         table.validate(full=True)
         for column, values in zip(table.column_names, table.columns, strict=True):
             if column in known and any(map(_has_nulls, values.chunks)):

@@ -280,19 +280,13 @@ def _of_states(path: Path) -> _Rows:
 
 
 def _of_pictures(path: Path) -> _Rows:
-    stored = image_table.column_names(image_table.shards(path)[0])
-    known = image_table.columns_among(stored)
-    table = image_table.read_table(
-        path, columns=[n for n in known if n in stored and known[n] != "image"]
-    )
+    table = image_table.read_table(path, images=False)
     with InvalidFile.instead(f"{path}: its selection isn't JSON", ValueError):
         earlier = json.loads((table.schema.metadata or {}).get(b"selection", b"[]"))
 
     def _columns() -> dict[str, NDArray[Any]]:
-        flat, kinds = (
-            table.flatten(),
-            image_table.arrow("pyarrow.types"),
-        )  # a struct becomes source.rope, ...
+        # a struct becomes source.rope, ...
+        flat, kinds = table.flatten(), image_table.arrow("pyarrow.types")
         return {
             name: np.array(values.to_pylist())
             for name, values in zip(flat.column_names, flat.columns, strict=True)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from knotgym.common import Counts, InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import column_names, measures_of, points_of, read_table, shards
+from knotgym.datasets.image_table import measures_of, points_of, read_table
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
 from knotgym.quality import GRADES
@@ -37,6 +37,7 @@ MOST_PICTURES, _PICTURE_BYTES = 400, 8e6  # whichever is reached first
 MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
 MOST_STEPS = 1000  # steps of one episode
 _SHOWN = ("nx", "gauss_code", "gauss_code_chiral", "split", "knot")
+_OF_PICTURES = ("points", "quality", "grade", "image", "crossings", "line", "strands")
 _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 _SCRIPTS = ("rope.js", "plots.js", "page.js")
 
@@ -143,18 +144,14 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
 
 def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
     """Collect a perception table: states with their pictures."""
-    stored = column_names(shards(source)[0])
-    labels = ["crossings", *(name for name in ("line", "strands") if name in stored)]
-    table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image", *labels])
+    table = read_table(source, columns=[*_SHOWN, *_OF_PICTURES])
     each = 4 / 3 * table.nbytes / max(1, len(table))  # base64
     most = min(MOST_PICTURES, int(_PICTURE_BYTES / max(1, each)))
     rows = _sampled(len(table), most, "pictures", notices)
     taken = table.take(rows)
     columns = {name: taken[name].to_pylist() for name in _SHOWN}
     found = _shapes(rows, {**columns, "points": points_of(taken)}, measures_of(taken))
-    for shown, row in zip(
-        found["states"], taken.select(["grade", "image", *labels]).to_pylist(), strict=True
-    ):
+    for shown, row in zip(found["states"], taken.to_pylist(), strict=True):
         shown |= {"grade": row["grade"], "image": _picture(row["image"])}
         shown["at"] = [[_number(one["x"]), _number(one["y"])] for one in row["crossings"]]
         if "line" in row:  # x, y and depth of each bead
