@@ -42,13 +42,10 @@ from knotgym import (
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
 from knotgym.datasets.episodes import FORMS, NOT_STEPPED, PULLS, STORED_PULLS, Episodes, fitted
 from knotgym.envs import TaskConfig
-from knotgym.rope import FORCE_BINS, quantized
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 
 FORMAT, VERSION = "knotgym-episodes", 2
 FILE = "episodes.h5"
-# the force of each whole number, at the place of its byte
-_FORCES = quantized(np.arange(256).astype(np.int8) / FORCE_BINS).astype(np.float32)
 _DRAWN = 1024  # starts that are drawn together
 MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
@@ -317,10 +314,9 @@ def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
         starts = part.episodes["start_qpos"].copy()
         starts[(starts.view(np.int64) == same.view(np.int64)).all(axis=1)] = 0
         packed.append(part._replace(episodes=part.episodes.replaced(start_qpos=starts)))
-    forces = [part.steps["force"] for part in parts]
-    with np.errstate(invalid="ignore"):  # of forces out of range, which no whole number gives
-        bins = [np.rint(force * FORCE_BINS).astype(np.int8) for force in forces]
-    if any(_forces(one).tobytes() != f.tobytes() for one, f in zip(bins, forces, strict=True)):
+    forces = (Episodes.binned(part.steps["force"]) for part in parts)
+    bins = [one for one in forces if one is not None]
+    if len(bins) < len(parts):
         return packed
     names = [name for name in parts[0].steps if name != "force"]
     schema = STORED_PULLS.only(*names, "force_bins")
@@ -328,10 +324,6 @@ def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
         one._replace(steps=Table(schema, {**one.steps, "force_bins": own}))
         for one, own in zip(packed, bins, strict=True)
     ]
-
-
-def _forces(bins: NDArray[np.int8]) -> NDArray[np.float32]:
-    return _FORCES[bins.view(np.uint8)]
 
 
 def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
@@ -352,7 +344,7 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
         own = own.replaced(start_qpos=starts)
     columns = {**steps}
     if "force_bins" in columns:
-        columns["force"] = _forces(columns.pop("force_bins"))
+        columns["force"] = Episodes.unbinned(columns.pop("force_bins"))
     if "force" not in columns:
         raise InvalidFile(f"{stored.path} has no forces")
     return replace(stored, episodes=Episodes(own, Table(PULLS.only(*columns), columns)))

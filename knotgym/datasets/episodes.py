@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Column, InvalidInput, Schema, Table, padded
 from knotgym.envs import TaskConfig
-from knotgym.rope import FORCE_BINS, TowBound
+from knotgym.rope import FORCE_BINS, TowBound, quantized
 from knotgym.topology import CodeArrays, GaussCode
 
 Ids = NDArray[np.int64]
@@ -61,6 +61,8 @@ _OF_CODES = (("visits",), ("labels",))  # shapes of columns as wide as the longe
 # a replay plans nothing and asks no expert
 NOT_STEPPED = frozenset({"planner_steps", "expert_action"})
 RELABEL = ("last", "all")
+# the force of each whole number, at the place of its byte
+_FORCES = quantized(np.arange(256).astype(np.int8) / FORCE_BINS).astype(np.float32)
 
 
 class Shown(NamedTuple):
@@ -144,6 +146,22 @@ class Episodes(NamedTuple):
         {'visits': 6, 'labels': 3}
         """
         return {"visits": 2 * max(1, crossings), "labels": max(1, crossings)}
+
+    @staticmethod
+    def binned(forces: NDArray[np.float32]) -> NDArray[np.int8] | None:
+        """Return forces as whole numbers, from which `unbinned` gives every bit; None if it can't.
+
+        Args:
+            forces: (n, 3), in units of the largest; it can if they are `quantized`.
+        """
+        with np.errstate(invalid="ignore"):  # of forces out of range, which no whole number gives
+            bins = np.rint(forces * FORCE_BINS).astype(np.int8)
+        return bins if Episodes.unbinned(bins).tobytes() == forces.tobytes() else None
+
+    @staticmethod
+    def unbinned(bins: NDArray[np.int8]) -> NDArray[np.float32]:
+        """Return the forces, in units of the largest, that `binned` has written."""
+        return _FORCES[bins.view(np.uint8)]
 
     @staticmethod
     def ranges(first: ArrayLike, lengths: ArrayLike) -> Ids:

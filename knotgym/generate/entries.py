@@ -32,17 +32,15 @@ from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.collection import blocks
 from knotgym.generate.episode_configs import EvaluateConfig
-from knotgym.generate.recordings import DIGEST, digests, force_bins
+from knotgym.generate.recordings import DIGESTS, LENGTH, digests
 from knotgym.generate.results import Result, show
-from knotgym.rope import FORCE_BINS, MUJOCO, RopeConfig, quantized
+from knotgym.rope import FORCE_BINS, MUJOCO, RopeConfig
 from knotgym.runs import Progress, executor
 from knotgym.runs import Result as Kept
 from knotgym.states import is_bundled, resolve_states
 
 FORMAT, VERSION = "knotgym-entry", 1
-_LENGTH = Column("length", "uint32", (), "pulls", "T, the number of pulls", least=1)
-_DIGEST = Column("digest", "uint8", (DIGEST,), "", "the first bytes of its states' SHA-256")
-ROWS = Schema("episodes", (_LENGTH, _DIGEST), "an episode, setup after setup")
+ROWS = Schema("episodes", (LENGTH._replace(dtype="uint32"), DIGESTS), "an episode, setup by setup")
 _BEAD, _FORCE = PULLS.columns[0], PULLS.columns[1]._replace(optional=True)
 _UNIT = f"max_force / {FORCE_BINS}"
 _BINS = Column("bins", "int8", (3,), _UNIT, "the force, where all forces are quantized", True)
@@ -115,7 +113,7 @@ def write_entry(
         lengths: NDArray[Any] = one.episodes["length"].astype(np.uint32)
         own: dict[str, NDArray[Any]] = {"length": lengths, "digest": digests(one)}
         rows.append(Table(ROWS, own))
-    bins = force_bins(made["force"])
+    bins = Episodes.binned(made["force"])
     exact = {"force": made["force"]} if bins is None else {"bins": bins}
     pulls = Table(PULLED, {"bead": made["bead"], **exact})
     attributes = {
@@ -152,7 +150,7 @@ def read_entry(path: Path) -> Entry | None:
     if ("bins" in pulls) == ("force" in pulls):
         raise InvalidFile(f"{path} needs one column of forces: 'force' or 'bins'")
     if "bins" in pulls:
-        forces = quantized(pulls["bins"] / FORCE_BINS).astype(np.float32)
+        forces = Episodes.unbinned(pulls["bins"])
         pulls = Table(PULLED, {"bead": pulls["bead"], "force": forces})
     wanted, count = len([*config.setups()]) * config.episodes, int(rows["length"].sum())
     if rows.rows != wanted or pulls.rows != count or len(claimed) * config.episodes != wanted:

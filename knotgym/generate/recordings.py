@@ -36,20 +36,15 @@ from knotgym.common import (
 from knotgym.control import replay
 from knotgym.datasets import MACROS, Episodes
 from knotgym.generate.episode_configs import CollectConfig
-from knotgym.rope import FORCE_BINS, quantized
+from knotgym.rope import FORCE_BINS
 from knotgym.runs import Result
 
 RECORDINGS = Path(str(files("knotgym.generate") / "data" / "recordings.h5"))  # that ships
 FORMAT = "knotgym-recordings"
 DIGEST = 8  # bytes of an episode's SHA-256
-EPISODES = Schema(
-    "episodes",
-    (
-        Column("length", "uint16", (), "pulls", "T, the number of pulls", least=1),
-        Column("digest", "uint8", (DIGEST,), "", "the first bytes of `digests`"),
-    ),
-    "an episode, set after set",
-)
+LENGTH = Column("length", "uint16", (), "pulls", "T, the number of pulls", least=1)
+DIGESTS = Column("digest", "uint8", (DIGEST,), "", "the first bytes of its states' SHA-256")
+EPISODES = Schema("episodes", (LENGTH, DIGESTS), "an episode, set after set")
 STEPS = Schema(
     "steps",
     (
@@ -86,7 +81,7 @@ class Recording(NamedTuple):
                 chosen.
         """
         steps = episodes.steps
-        if MACROS[0] not in steps or force_bins(steps["force"]) is None:
+        if MACROS[0] not in steps or Episodes.binned(steps["force"]) is None:
             raise InvalidInput(
                 f"{config.dataset_id} can't be recorded: its policy must choose macro-actions, and"
                 f" forces in multiples of 1/{FORCE_BINS} of the largest"
@@ -113,7 +108,7 @@ class Recording(NamedTuple):
             for name, one in sets.items():
                 config, last = from_json(CollectConfig, one["config"]), first + one["episodes"]
                 pulls = steps.take(slice(ends[first], ends[last]))
-                exact = {**pulls, "force": quantized(pulls["force"] / FORCE_BINS)}
+                exact = {**pulls, "force": Episodes.unbinned(pulls["force"])}
                 episodes = Episodes.to_repeat(lengths[first:last], exact, config.policy.policy)
                 found[name] = Recording(config, episodes, rows["digest"][first:last])
                 first = last
@@ -129,7 +124,7 @@ class Recording(NamedTuple):
         rows, steps, sets = list[Table](), list[Table](), dict[str, Any]()
         for one in sorted(all_sets, key=lambda one: one.config.dataset_id):
             length, made = one.episodes.episodes["length"], one.episodes.pulls()
-            bins = force_bins(made["force"])
+            bins = Episodes.binned(made["force"])
             assert bins is not None  # `Recording.of` refuses others
             columns = {**made, "force": bins}
             own = {c.name: columns[c.name].astype(c.dtype) for c in STEPS.columns}
@@ -199,9 +194,3 @@ def rebuilt(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> R
     own = recording.episodes.select(np.arange(numbers.start, numbers.stop))
     seeds = [Stream.EPISODE.derived_seed(config.seed, number) for number in numbers]
     return replay(own, config.policy_task, seeds).columns()
-
-
-def force_bins(forces: NDArray[Any]) -> NDArray[np.int8] | None:
-    """Return quantized forces in units of the largest one / FORCE_BINS; None if they aren't."""
-    bins = np.rint(forces * FORCE_BINS)
-    return bins.astype(np.int8) if (quantized(bins / FORCE_BINS) == forces).all() else None

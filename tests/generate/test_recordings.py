@@ -60,13 +60,13 @@ def test_a_digest_is_of_contents_alone(played: Episodes) -> None:
     assert (digests(changed) == whole).all(axis=1).tolist() == [True, False, True]
 
 
-def test_only_quantized_pulls_of_macro_actions_are_recorded(played: Episodes, path: Path) -> None:
-    uneven = played.steps.replaced(force=played.steps["force"] * np.float32(0.9))
+@pytest.mark.parametrize("factor", [0.9, -1.0])  # -0.0, which no whole number gives
+def test_only_quantized_pulls_are_recorded(factor: float, played: Episodes, path: Path) -> None:
+    uneven = played.steps.replaced(force=played.steps["force"] * np.float32(factor))
     with pytest.raises(InvalidInput, match="can't be recorded"):
         Recording.of(CONFIG, Episodes(played.episodes, uneven))
-    more = replace(CONFIG, episodes=9)
     with pytest.raises(InvalidFile, match=r"is recorded with \d+ episodes, got 9"):
-        rebuilt(more, range(3, 9), path)
+        rebuilt(replace(CONFIG, episodes=9), range(3, 9), path)
 
 
 def test_damaged_recordings_are_refused(path: Path, tmp_path: Path) -> None:
