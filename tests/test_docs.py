@@ -142,7 +142,6 @@ def test_a_page_s_blocks_run(page: Path, minari: Path, tmp_path: Path, monkeypat
 @pytest.mark.clients
 def test_the_blocks_that_read_pictures_run(tmp_path: Path, monkeypatch: Patch) -> None:
     pytest.importorskip("torch")
-    pytest.importorskip("pyarrow")
     monkeypatch.chdir(tmp_path)
     few = "images --nx 0,1 --count 4 --set test_nx=none --set code_share=0 --workers 1 --quiet"
     assert typed(*few.split(), "--out", "pictures") == 0

@@ -50,8 +50,6 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_link_planted_in_a_folder_is_not_followed(
     words: str, states_path: str, tmp_path: Path, capfd: Capture
 ) -> None:
-    if words.startswith("images"):
-        pytest.importorskip("pyarrow")
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "states.h5").symlink_to(states_path)
     assert typed(*words.format(tmp_path / "set", tmp_path).split()) == 2
@@ -167,6 +165,7 @@ def test_an_id_names_no_folder_to_write(tmp_path: Path, capfd: Capture) -> None:
     assert [one.name for one in tmp_path.iterdir()] == ["set.h5"]
 
 
+@pytest.mark.thorough  # which runs where mkdocs brings it
 def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) -> None:
     pytest.importorskip("yaml")
     for text in ("{: no yaml", "disable_jit: 1\n"):

@@ -315,7 +315,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("reader"))
     given = parser.parse_args()
     look = json.loads((given.folder / "manifest.json").read_text())["config"]["appearance"]
-    if "colours" in look["vary"] or len(look["sizes"]) > 1:
+    if look["name"] != "published" or "colours" in look["vary"] or len(look["sizes"] or ()) > 1:
         parser.error(
             "positions along the rope are read from the published colours, in pictures of one size;"
             " this table has other colours or sizes"

@@ -1,6 +1,5 @@
 """Every benchmark runs, in the smallest size that it can have; none is asked how fast it was."""
 
-import importlib.util
 import json
 import re
 from pathlib import Path
@@ -39,7 +38,6 @@ def test_every_benchmark_says_how_to_use_it(script: Path, capsys: Capture) -> No
 
 
 @pytest.mark.thorough
-@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
 def test_golden_runs_make_the_arrays_that_they_made(capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:
         run_script(FOLDER / "golden.py", "--compare", ROOT / "tests/data/golden.json")

@@ -32,7 +32,6 @@ class Negative(Drawer):
 
 
 def test_an_appearance_is_added_by_one_record(tmp_path: Path, monkeypatch: Patch) -> None:
-    pytest.importorskip("pyarrow")
     with pytest.raises(InvalidInput, match="must be one of published, line, photo"):
         AppearanceConfig(name="negative")
     kind = AppearanceKind(says="on white", drawer=f"{__name__}:Negative", vary=("turn",), size=96)

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -34,22 +34,20 @@ class Command(NamedTuple):
         words: with {out}, {states}, {episodes} and {none}, a file of no settings.
         output: below the folder named `out`; a name with a suffix is a file.
         stages: whether it can be interrupted and resumed.
-        library: that it needs.
     """
 
     words: str
     output: str
     stages: bool = False
-    library: str = "numpy"
 
 
 COMMANDS = {
     "generate": Command("generate --nx 0 --count 1 --workers 1 --out {out}/a", "a", True),
-    "images": Command("images --nx 0 --count 1 --out {out}/a", "a", True, "pyarrow"),
+    "images": Command("images --nx 0 --count 1 --out {out}/a", "a", True),
     "collect": Command(f"collect --policy random --id {ID} --out {{out}}", ID, True),
     "suite": Command("suite --task tie --nx 2 --policy random --out {out}", ID),
-    "train": Command("train --data {episodes} --out {out}/a", "a", True, "torch"),
-    "prompt": Command("prompt --model x --out {out}/a", "a", True, "openai"),
+    "train": Command("train --data {episodes} --out {out}/a", "a", True),
+    "prompt": Command("prompt --model x --out {out}/a", "a", True),
     "evaluate": Command("evaluate --episodes 1 --out {out}/a.json", "a.json", True),
     "video": Command("evaluate --episodes 1 --video {out}/a.gif", "a.gif"),
     "gallery": Command("dataset gallery {states} --out {out}/a.png", "a.png"),
@@ -66,6 +64,12 @@ COMMANDS = {
     ),
 }
 STAGED = [name for name, command in COMMANDS.items() if command.stages]
+
+
+def rows(names: Iterable[str]) -> list[Any]:
+    """The names as parameters; what trains needs torch."""
+    marks = {"train": pytest.mark.clients}
+    return [pytest.param(name, marks=marks.get(name, ())) for name in names]
 
 
 @pytest.fixture(scope="session")
@@ -85,7 +89,6 @@ def typed(tmp_path: Path, states_path: str, episodes: Path, monkeypatch: Patch) 
     """Type a command by its name in COMMANDS, with more words; its exit status."""
 
     def type_it(name: str, *more: str) -> int:
-        pytest.importorskip(COMMANDS[name].library)
         monkeypatch.setenv("OPENAI_API_KEY", "none")
         (tmp_path / "none.json").write_text("{}")
         places = {
@@ -131,7 +134,7 @@ def everything(folder: Path) -> dict[str, str]:
     return found
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", rows(COMMANDS))
 def test_what_is_there_stays(name: str, typed: Type, tmp_path: Path, capfd: Capture) -> None:
     path = output_of(name, tmp_path)
     for kind in ("file", "folder", "link to file", "link to folder"):
@@ -150,7 +153,7 @@ def test_what_is_there_stays(name: str, typed: Type, tmp_path: Path, capfd: Capt
         shutil.rmtree(path) if kind == "folder" else path.unlink()
 
 
-@pytest.mark.parametrize("name", STAGED)
+@pytest.mark.parametrize("name", rows(STAGED))
 def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
     name: str, typed: Type, tmp_path: Path, capfd: Capture
 ) -> None:
@@ -215,14 +218,10 @@ SOURCES = {
 }
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", rows(SOURCES))
 def test_a_source_is_never_replaced_not_even_with_overwrite(
     name: str, states_path: str, episodes: Path, tmp_path: Path, capfd: Capture
 ) -> None:
-    if name == "train":
-        pytest.importorskip("torch")
-    if name == "images":
-        pytest.importorskip("pyarrow")
     root = tmp_path / "root"
     shutil.copytree(episodes, root / ID)
     places = {"root": root, "set": root / ID, "h5": root / ID / "data" / "states.h5"}

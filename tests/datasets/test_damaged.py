@@ -51,7 +51,6 @@ def refused(command: str, path: Path, capfd: Capture) -> str:
 @pytest.fixture(scope="module")
 def rows() -> list[dict[str, Any]]:
     """Rows of three pictures."""
-    pytest.importorskip("pyarrow")
     ropes = read_states(shipped(), images=False).points[[20, 70, 120]]
     return [_record(row, AppearanceConfig(sizes=(64,))) for row in picture_rows(ropes)]
 

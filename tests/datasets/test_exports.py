@@ -43,7 +43,6 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """States and episodes exported for Hugging Face."""
-    pytest.importorskip("pyarrow")
     out = tmp_path_factory.mktemp("upload") / "hub"
     out.mkdir()
     located = Located(Path("tiny"), Path(states_path), tuple(TINY.values()))
@@ -159,7 +158,6 @@ MARKUP = ("<img", "\n---\n# [", "[a](", "![c]", "http://d", " `e`", " | www", "w
 
 
 def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
     facts = {"metadata": {"dataset_id": HOSTILE}}
     write_episodes(tmp_path / "e.h5", [episodes([2])], TASK, facts)
     export(str(tmp_path / "e.h5"), tmp_path / "hub", "huggingface", replay)
@@ -173,7 +171,6 @@ def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
 
 
 def test_a_card_says_what_the_dataset_shows(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
     merge([EXPERT, str(TINY["random"])], tmp_path / "both.h5")
     export(str(tmp_path / "both.h5"), tmp_path / "hub", "huggingface", replay)
     card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")

@@ -22,7 +22,6 @@ from knotgym.states import read_states, shipped
 @pytest.fixture(scope="module")
 def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A shard with one picture."""
-    pytest.importorskip("pyarrow")
     rows = picture_rows(read_states(shipped(), images=False).points[[20]])
     path = tmp_path_factory.mktemp("shard") / "train-00000-of-00001.parquet"
     path.write_bytes(tables.parquet(drawn_table(rows, AppearanceConfig())))

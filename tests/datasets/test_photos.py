@@ -25,7 +25,6 @@ from knotgym.states import read_states, shipped
 @pytest.fixture(scope="module")
 def rows(folder: Path) -> list[dict[str, Any]]:
     """Rows of three photos, the first of a plain loop, written and read again."""
-    pytest.importorskip("pyarrow")
     config = AppearanceConfig(name="photo", sizes=(128,), marked=1.0)
     ropes = enumerate(read_states(shipped(), images=False).points[[0, 70, 120]])
     seen = [Drawer.of("photo").seen(one, config, np.random.default_rng(k)) for k, one in ropes]

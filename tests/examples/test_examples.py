@@ -95,7 +95,6 @@ def test_every_example_says_how_to_use_it_or_what_it_needs(script: Path, capsys:
 
 
 def test_codes_are_read_by_tracing_colours(rope: Rope, tmp_path: Path, capsys: Capture) -> None:
-    pytest.importorskip("pyarrow")
     rows = picture_rows([rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)], "test")
     (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, AppearanceConfig())))
     page = tmp_path / "misread.png"
@@ -108,7 +107,6 @@ def test_codes_are_read_by_tracing_colours(rope: Rope, tmp_path: Path, capsys: C
 
 
 def test_line_drawings_are_transcribed_to_pd_codes(tmp_path: Path, capsys: Capture) -> None:
-    pytest.importorskip("pyarrow")
     states = read_states(shipped(), images=False)
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
     look = AppearanceConfig(name="line", vary=("turn",))
@@ -126,9 +124,8 @@ def test_line_drawings_are_transcribed_to_pd_codes(tmp_path: Path, capsys: Captu
         assert next(parse_codes([own["answer"]])).nx == row["nx"]
 
 
-@pytest.mark.slow
+@pytest.mark.clients
 def test_photos_are_read_and_a_reader_is_trained_on_them(tmp_path: Path, capsys: Capture) -> None:
-    pytest.importorskip("pyarrow")
     pytest.importorskip("torch")
     look = AppearanceConfig(name="photo")
     config = ImagesConfig(nx=(1, 2), count=8, test_nx=None, engine="chain", appearance=look)
@@ -142,9 +139,8 @@ def test_photos_are_read_and_a_reader_is_trained_on_them(tmp_path: Path, capsys:
     assert total.split()[1] == "8" and float(total.split()[2]) > 70
 
 
-@pytest.mark.slow
+@pytest.mark.clients
 def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
     pytest.importorskip("torch")
     config = ImagesConfig(nx=(0, 1), count=20, test_nx=None, test_share=0.3, pulls=4)
     folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))

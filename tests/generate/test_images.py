@@ -30,8 +30,6 @@ from ..small_job import knotgym
 
 ROOT = Path(__file__).parents[2]
 
-pytest.importorskip("pyarrow")
-
 NOTHING = Limits(margin=1e6)
 CONFIG = ImagesConfig(
     nx=(0, 1, 2),

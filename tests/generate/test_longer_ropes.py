@@ -56,6 +56,7 @@ def test_ropes_are_not_mixed(states: Path) -> None:
         merge_states([read_states(states), read_states(shipped())])
 
 
+@pytest.mark.clients
 def test_a_learner_of_the_usual_rope_refuses_another() -> None:
     pytest.importorskip("torch")
     policy = make_policy(PolicyConfig(policy="pretrained-clone"))

@@ -17,7 +17,6 @@ from knotgym.prompting.chat import Chat, ChatConfig
 
 from .chat_server import Answer, ChatServer, always, completion
 
-pytest.importorskip("openai")
 KEY = "sk-test/+" + "51ec2e7" * 4
 WORDS = "I pull."
 REFUSAL = completion({"content": None, "refusal": "I can't"})

@@ -21,7 +21,6 @@ from knotgym.runs import RunOptions
 from ..small_job import staging_of
 from .chat_server import Answer, ChatServer, always, completion, hashes, kinds
 
-pytest.importorskip("openai")
 KEY = "sk-test/+" + "51ec2e7" * 4
 PULL = "I pull. <answer>[0.1, 0, 0, 1, 0, 0]</answer>"
 NAN = "<answer>[0.1, 0, 0, nan, 0, 0]</answer>"

@@ -5,7 +5,6 @@ A row makes an output of a few calls, in a second or so, in any process.
 
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +71,7 @@ RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {
     "collect-v0": collected,
     "evaluate.json": evaluated,
     "states": made_states,
+    "images": made_images,
 }
 
 
@@ -80,9 +80,6 @@ def content(out: Path) -> dict[str, bytes]:
     files = [out] if out.is_file() else sorted(path for path in out.rglob("*") if path.is_file())
     return {path.relative_to(out.parent).as_posix(): path.read_bytes() for path in files}
 
-
-if find_spec("pyarrow") is not None:
-    RECIPES["images"] = made_images
 
 if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS [SHARD]
     name, out, workers, *shard = sys.argv[1:]
