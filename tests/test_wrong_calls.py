@@ -17,6 +17,7 @@ from knotgym.control import PolicyConfig, PolicyFamily, make_policy, register_po
 from knotgym.datasets import open_episodes, read_table, select
 from knotgym.drawing import drawn_curve
 from knotgym.envs import KnotEnv, KnotVectorEnv, TaskConfig
+from knotgym.generate import CollectConfig, ImagesConfig
 from knotgym.learn import CloneConfig
 from knotgym.loaders import (
     GoalSampling,
@@ -24,8 +25,11 @@ from knotgym.loaders import (
     Transitions,
     Window,
     arrays,
+    as_policy,
     images,
     multiplied,
+    statistics,
+    stream,
     to_d3rlpy,
     to_tensordict,
     torch_dataset,
@@ -42,6 +46,7 @@ STATE: dict[str, Any] = {"observation": "state"}
 CANONICAL: dict[str, Any] = {**STATE, "frame": "canonical"}
 KINKS = GaussCode(tuple(sign * k for k in range(1, 18) for sign in (1, -1)))
 BEADS = TaskConfig(task="tie", action="bead", endless=True)
+PLAYED: Any = CollectConfig(task=TaskConfig(task="tie", engine="chain"), policy=PolicyConfig())
 
 
 def make(**settings: Any) -> Any:
@@ -101,6 +106,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: make(views="left"), "views must be a list, got 'left'"),
     (lambda: make(views=["left", "left"]), "each at most once"),
     (lambda: make(depth=True, renderer="mujoco"), "depth needs renderer 'opencv'"),
+    (lambda: make(nx=1, split="train-code"), "use an nx of at least 2"),
     (lambda: make(nx=7), "no states with nx = 7 in split 'train'"),
     (lambda: make(states="nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),
     (lambda: make(action="push"), "action must be one of pull, bead, macro, decision, got 'push'"),
@@ -157,7 +163,17 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: Window(discount=1.5), "discount must be at most 1, got 1.5"),
     (lambda: GoalSampling(p_currgoal=1.0), "must be probabilities that sum to 1, got"),
     (lambda: batch([0], window=Window(goals=GoalSampling())), "goals are drawn: hand a generator"),
+    (lambda: Transitions(DATA, observation="marked").batch([0], apart=True), "has no halves"),
     (lambda: Sequences(DATA, 0), "length must be at least 1, got 0"),
+    (lambda: Sequences(DATA, 99), "has 99 states; the longest has 19"),
+    (lambda: statistics(DATA, observation="pixels"), "pictures need no statistics"),
+    (lambda: as_policy(3), "such as model.predict, a torch module or an ONNX"),
+    (lambda: as_policy(len, action="decisions"), "action must be one of pull, bead, macro, dec"),
+    (lambda: stream(PLAYED, batch=0), "batch must be a whole number above 0, got 0"),
+    (lambda: stream(PLAYED, block=1.5), "block must be a whole number above 0, got 1.5"),
+    (lambda: stream(PLAYED, action="macro"), "use action 'pull' or 'bead'"),
+    (lambda: stream(ImagesConfig(), action="bead"), "a stream of pictures takes no action"),
+    (lambda: stream(BEADS), "streams are of a CollectConfig or an ImagesConfig, got TaskConfig("),
     (lambda: multiplied(arrays(DATA), 0, np.random.default_rng(0)), "multiplied at least once"),
     (lambda: twice(without="actions"), "a batch to transform has actions"),
     (lambda: twice(without="observations"), "a batch to transform has observations"),

@@ -266,7 +266,7 @@ def _tensors(
 
 def stream(
     config: Played | Pictured,
-    seed: int = 0,
+    seed: int | None = None,
     *,
     batch: int = 256,
     block: int = 64,
@@ -288,7 +288,8 @@ def stream(
     Args:
         config: a CollectConfig: which task, policy and labels; or an ImagesConfig: pictures of
             split train alone, so that its other splits stay unseen.
-        seed: of the episodes, as of `collect --seed`, and of what is drawn from them.
+        seed: of the episodes, as of `collect --seed`, and of what is drawn from them; None for the
+            configuration's.
         batch: transitions or pictures of a batch, all of one block.
         block: episodes or pictures of a block; the more, the less alike is a batch.
         shuffled: blocks that take turns; nothing is made twice if it is a multiple of the number of

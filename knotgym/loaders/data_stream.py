@@ -12,6 +12,7 @@ goes on from its place alone: from a number.
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +20,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from knotgym.common import InvalidInput, Stream
+from knotgym.common import InvalidInput, Stream, as_json, differences
 from knotgym.datasets import EpisodeDataset, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.loaders.pictures import Pictures
@@ -58,7 +59,7 @@ class DataStream:
     def __init__(
         self,
         config: Played | Pictured,
-        seed: int,
+        seed: int | None,
         batch: int,
         block: int,
         shuffled: int,
@@ -67,12 +68,19 @@ class DataStream:
     ) -> None:
         sizes = {"batch": batch, "block": block, "shuffled": shuffled, "repeats": repeats}
         for name, size in sizes.items():
-            if size < 1:
-                raise InvalidInput(f"{name} must be at least 1, got {size}")
+            if not isinstance(size, (int, np.integer)) or size < 1:
+                raise InvalidInput(f"{name} must be a whole number above 0, got {size}")
         self._pictured = hasattr(config, "pictured")
+        if not self._pictured and not hasattr(config, "played"):
+            raise InvalidInput(f"streams are of a CollectConfig or an ImagesConfig, got {config!r}")
         if self._pictured and opening:
             raise InvalidInput(f"a stream of pictures takes no {', '.join(opening)}")
-        self._config, self._seed, self._opening, self.number = config, seed, opening, 0
+        self._config, self._opening, self.number = config, opening, 0
+        self._seed = int(getattr(config, "seed", 0) if seed is None else seed)
+        # what must be the same where a stream goes on: other batches would repeat rows or skip them
+        settings = as_json(config) if dataclasses.is_dataclass(config) else {}
+        sizes = {name: int(size) for name, size in sizes.items()}
+        self._made = {**settings, "seed": self._seed, **sizes}
         self._batch, self._size, self._shuffled, self._repeats = sizes.values()
         self._held = dict[int, Transitions | Pictures]()
         self._batch_of(0)  # refuses what can't be opened before a worker does
@@ -127,16 +135,18 @@ class DataStream:
 
     def state_dict(self) -> dict[str, Any]:
         """Return where the stream is, for `load_state_dict` of one made alike."""
-        return {"number": self.number, "seed": self._seed}
+        return {"number": self.number, "made": self._made}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on where another stream was.
 
         Raises:
-            InvalidInput: the other one had another seed.
+            InvalidInput: the other one had another seed, configuration or size, or it's no state.
         """
-        if state["seed"] != self._seed:
-            raise InvalidInput(f"the stream had seed {state['seed']}, this one has {self._seed}")
+        if not isinstance(state, dict) or state.keys() != self.state_dict().keys():
+            raise InvalidInput(f"the state of a stream has number and made, got {state!r}")
+        if other := next(differences(state["made"], self._made), None):
+            raise InvalidInput(f"this stream is another one: {other}")
         self.number = int(state["number"])
 
 

@@ -21,6 +21,7 @@ the image.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from operator import itemgetter
 from typing import Any
 
@@ -33,7 +34,8 @@ from knotgym.rope import ActionView
 from knotgym.topology import CodeArrays, Symmetry
 
 Array = NDArray[Any]
-_OBSERVATIONS = ("observations", "next_observations", "negatives")
+_PAIRS = ("observations", "next_observations")  # rope and goal, unless a batch is loaded apart
+_HALVES = ("goals", "negatives")
 _ACTIONS = ("actions", "history", "next_history")
 _SAME = frozenset(
     "rewards terminals timeouts discounts pulls action_mask history_mask next_history_mask".split()
@@ -92,35 +94,37 @@ class Symmetries(Symmetry):
             row[: len(code.visits)] = code.visits
         return different[at.ravel(), : Observer.SYMBOLS].reshape(own.shape)
 
-    def _pictures(self, pictures: ArrayLike) -> Array:
-        """Turn and mirror pictures of rope and goal side by side, (n, size, 2 size, channels)."""
+    def _pictures(self, pictures: ArrayLike, ropes: int = 2) -> Array:
+        """Turn and mirror pictures of ropes side by side, (n, ..., size, ropes size, channels)."""
         seen = np.asarray(pictures)
         if self.switch.any() or self.reverse.any() or not self._has_quarter_turns:
             raise InvalidInput(
                 "pictures have images under quarter turns and mirrors alone; draw the symmetries"
                 " with of_pictures=True"
             )
-        if seen.ndim != 4 or seen.shape[2] != 2 * seen.shape[1]:
+        *outer, size, width, channels = seen.shape
+        if width != ropes * size:
             raise InvalidInput(
                 "pictures to turn are (n, size, 2 size, channels), one view of rope and goal; got"
                 f" {seen.shape}"
             )
-        size = seen.shape[1]
-        # rope and goal are turned alike, each about its own middle
-        halves = seen.reshape(len(seen), size, 2, size, -1)
-        mirrored = np.where(self.reflect[:, None, None, None, None], halves[:, :, :, ::-1], halves)
+        # ropes are turned alike, each about its own middle
+        parts = seen.reshape(*outer, size, ropes, size, channels)
+        mirror = self.reflect.reshape(-1, *(1 for _ in parts.shape[1:]))
+        mirrored = np.where(mirror, parts[..., ::-1, :], parts)
         out = np.empty_like(mirrored)
         for quarters in range(4):
             own = self._quarters == quarters
             # the picture's y axis points down, so that a turn about z is counterclockwise in it
-            out[own] = np.rot90(mirrored[own], quarters, axes=(1, 3))
+            out[own] = np.rot90(mirrored[own], quarters, axes=(-4, -2))
         return out.reshape(seen.shape)
 
     def applied(self, batch: Mapping[str, Any], beads: int = 100) -> dict[str, Any]:
         """Return one image of each of the n samples of a batch, but for those that are dropped.
 
         Args:
-            batch: what `arrays` or `Transitions.batch` returns, of any view of the actions.
+            batch: what `arrays` or `Transitions.batch` returns, of any view of the actions; one
+                loaded with `apart` has `goals`.
             beads: of a rope, if actions number them and codes or pictures are observed; the number
                 is known from vertices.
 
@@ -136,10 +140,13 @@ class Symmetries(Symmetry):
             raise InvalidInput(f"a batch to transform has {', '.join(missing)}; this one hasn't")
         seen = batch["observations"]
         state = np.asarray(seen["state"] if isinstance(seen, dict) else seen)
-        beads = state.shape[-1] // 6 if state.dtype.kind == "f" else beads
+        pair = 1 if "goals" in batch else 2
+        beads = state.shape[-1] // (3 * pair) if state.dtype.kind == "f" else beads
         for name, values in batch.items():
-            if name in _OBSERVATIONS:
-                made[name] = Observer.map_parts(values, self._observations)
+            if name in _PAIRS + _HALVES:
+                ropes = pair if name in _PAIRS else 1
+                see = partial(self._observations, ropes=ropes, beads=beads)
+                made[name] = Observer.map_parts(values, see)
             elif name in _ACTIONS:
                 made[name] = self._actions(np.asarray(values), beads)
                 if made[name].dtype.kind == "f":
@@ -159,21 +166,21 @@ class Symmetries(Symmetry):
     def _has_quarter_turns(self) -> bool:
         return bool(np.allclose(self.turn, np.rint(self.turn / (np.pi / 2)) * (np.pi / 2)))
 
-    def _observations(self, seen: ArrayLike) -> Array:
+    def _observations(self, seen: ArrayLike, ropes: int, beads: int) -> Array:
         values = np.asarray(seen)
         if len(values) != len(self.turn):
             raise InvalidInput(f"{len(self.turn)} symmetries don't fit {len(values)} samples")
         if values.dtype == np.uint8:
-            return self._pictures(values)
+            return self._pictures(values, ropes)
         if values.dtype == np.int16:
             return self._visits(values)
-        if values.dtype.kind != "f" or values.shape[-1] % 6:
+        if values.dtype.kind != "f" or values.shape[-1] != 3 * ropes * beads:
             raise InvalidInput(
                 "observations to transform are of the kind state, symbolic or pixels; marked ones"
                 " are alike for all images of a state"
             )
-        ropes = values.reshape(*values.shape[:-1], 2, values.shape[-1] // 6, 3)
-        return self.vertices(ropes).reshape(values.shape)
+        points = values.reshape(*values.shape[:-1], ropes, beads, 3)
+        return self.vertices(points).reshape(values.shape)
 
     def _actions(self, actions: Array, beads: int) -> Array:
         """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""

@@ -9,6 +9,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
     transition t   of segment s leads from state t + s to state t + s + 1
 """
 
+import reprlib
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple, TypedDict, Unpack
@@ -374,14 +375,20 @@ class Transitions:
             (n, 1, symbols), and `goals` has the same shape.
 
         Raises:
-            IndexError: rows is not one-dimensional, or an index is out of range.
+            IndexError: rows is not one-dimensional, isn't of whole numbers, such as a mask, or
+                an index is out of range.
             InvalidInput: goals are sampled, and there is no generator; or no other goal exists.
             InvalidInput: halves of marked observations are needed, for `apart` or negatives.
         """
-        wanted, count = np.asarray(rows, dtype=np.int64), len(self)
-        if wanted.ndim != 1 or ((wanted < -count) | (wanted >= count)).any():
-            raise IndexError(f"rows must be a list of indices below {count}, got {rows!r}")
-        rows = wanted % max(1, count)
+        wanted, count = np.asarray(rows), len(self)
+        if wanted.dtype.kind in "iu":
+            wrong = wanted if wanted.ndim != 1 else wanted[(wanted < -count) | (wanted >= count)]
+        else:
+            wrong = wanted  # a mask would be taken for the rows 0 and 1
+        if wrong.size or wanted.ndim != 1:
+            given = reprlib.repr(wrong.tolist())
+            raise IndexError(f"rows must be a list of whole numbers below {count}, got {given}")
+        rows = wanted.astype(np.int64) % max(1, count)
         window, sampled = self.window or Window(), None
         segments = self._segments(rows)
         if window.goals is not None:
@@ -447,7 +454,8 @@ class Transitions:
         """
         segments = self._segments(rows)
         end = self.starts[segments + 1][:, None]
-        following = rows[:, None] + np.arange(n_step)
+        longest = int(np.diff(self.starts).max(initial=1))
+        following = rows[:, None] + np.arange(min(n_step, longest))
         inside = following < end
         at = np.minimum(following, end - 1)
         if goals is None:

@@ -139,5 +139,3 @@ def test_absent_macro_actions_are_refused(task: TaskConfig, played: Path, tmp_pa
         arrays(tmp_path / "pulls.h5", action="macro")
     with pytest.raises(InvalidInput, match="the expert's actions are pulls"):
         arrays(played, labels=True)
-    with pytest.raises(InvalidInput, match="got 'force'"):
-        arrays(played, action="force")

@@ -15,7 +15,6 @@ from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.reader import BeadNetwork
 
 pytestmark = pytest.mark.clients
-
 TASK = TaskConfig(task="unknot", nx=1, engine="chain")
 
 

@@ -20,8 +20,6 @@ from knotgym.topology import GaussCode, Symmetry, find_crossings, images, label
 from ..scripts import ROOT
 
 pytestmark = pytest.mark.clients
-
-
 Array = NDArray[np.float64]
 SIDE = 256
 lifted_lines: Any = runpy.run_path(str(ROOT / "examples/perception/strand_loss.py"))["lifted_lines"]

@@ -11,7 +11,6 @@ from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, imagi
 from knotgym.rope import ChainSimulation, Rope
 
 pytestmark = pytest.mark.clients
-
 Array = NDArray[np.float64]
 
 

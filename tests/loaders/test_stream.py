@@ -26,8 +26,6 @@ from knotgym.runs import RunOptions
 
 TASK = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=6)
 CONFIG = CollectConfig(task=TASK, policy=PolicyConfig(policy="random"), episodes=8, form="columns")
-
-
 PICTURES = ImagesConfig(engine="chain", nx=(0, 1, 2), count=40)
 SMALL: dict[str, Any] = {"batch": 8, "block": 4, "shuffled": 2, "repeats": 2}
 
@@ -85,8 +83,16 @@ def test_a_stream_goes_on_where_another_was() -> None:
     # a copy in another process, and another iterator of the same stream, go on, too
     assert same(next(iter(pickle.loads(pickle.dumps(first)))), whole[2])
     assert same(next(iter(first)), whole[2])
-    with pytest.raises(InvalidInput, match="had seed 3, this one has 4"):
-        stream(CONFIG, 4, **SMALL).load_state_dict(first.state_dict())
+    for other, words in (
+        (stream(CONFIG, 4, **SMALL), "seed is 3 there and 4 here"),
+        (made(batch=16), "batch is 8 there and 16 here"),
+        (stream(PICTURES, 3, **SMALL), "task is .* there and null here"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            other.load_state_dict(first.state_dict())
+        with pytest.raises(InvalidInput, match="has number and made, got {'_num"):
+            other.load_state_dict({"_num_yielded": 2})
+    assert same(next(iter(stream(CollectConfig(**vars(CONFIG) | {"seed": 3}), **SMALL))), whole[0])
 
 
 def test_windows_relabelling_and_own_rewards_reach_a_stream() -> None:
@@ -95,15 +101,6 @@ def test_windows_relabelling_and_own_rewards_reach_a_stream() -> None:
     own = made(reward=lambda episode, steps: np.full(int(episode["length"]), -0.5))
     rewards = next(iter(own))["rewards"]
     assert (rewards == -0.5).all()
-
-
-def test_what_makes_no_batch_is_one_line() -> None:
-    with pytest.raises(InvalidInput, match="batch must be at least 1, got 0"):
-        made(batch=0)
-    with pytest.raises(InvalidInput, match="use action 'pull' or 'bead'"):
-        made(action="decision")
-    with pytest.raises(InvalidInput, match="a stream of pictures takes no action"):
-        stream(PICTURES, action="bead")
 
 
 TRAINING = """

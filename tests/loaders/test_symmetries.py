@@ -6,8 +6,7 @@ import pytest
 from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
-from knotgym.loaders import arrays
-from knotgym.loaders.symmetries import Symmetries, multiplied
+from knotgym.loaders import GoalSampling, Symmetries, Transitions, Window, arrays, multiplied
 from knotgym.rope import CHAIN, MUJOCO, Rope
 from knotgym.rope import simulation as simulation_of
 from knotgym.states import read_states, shipped
@@ -113,6 +112,22 @@ def test_pictures_turn_with_the_rope(rope: Rope) -> None:
     wrong = np.abs(seen.astype(int) - moved).mean(axis=(1, 2, 3))
     turned = drawn.reflect | (drawn.turn > 0)
     assert off.max() < 2 and wrong[turned].min() > 5  # levels of 255; edges fall on other pixels
+
+
+@pytest.mark.parametrize(("observation", "axis"), [("state", -1), ("pixels", -2)])
+def test_a_rope_alone_moves_like_one_beside_another(observation: str, axis: int) -> None:
+    window = Window(goals=GoalSampling(negatives=2))
+    loader = Transitions(TINY["expert"], observation=observation, window=window)
+    rows = np.arange(len(loader))
+    batch = loader.batch(rows, apart=True, rng=np.random.default_rng(6))
+    drawn = Symmetries.drawn(len(rows), np.random.default_rng(7), of_pictures=axis == -2)
+    pairs = batch["negatives"].swapaxes(0, 1), (batch["observations"], batch["goals"])
+    alone = drawn.applied(batch)
+    del batch["goals"], batch["negatives"], batch["next_observations"]
+    moved = alone["negatives"].swapaxes(0, 1), (alone["observations"], alone["goals"])
+    for pair, own in zip(pairs, moved, strict=True):
+        both = drawn.applied(batch | {"observations": np.concatenate(pair, axis=axis)})
+        np.testing.assert_array_equal(both["observations"], np.concatenate(own, axis=axis))
 
 
 def test_a_set_is_multiplied_and_strong_pulls_are_dropped() -> None:

@@ -70,8 +70,8 @@ def test_a_batch_is_rows_of_the_arrays_or_halves_of_them(made: Episodes, path: P
     held, opened = arrays(path), Transitions(path)
     for name, column in opened.batch([4, -1, 0]).items():
         np.testing.assert_array_equal(column, held[name][[4, N - 1, 0]])
-    for wrong in ([[1]], [N], [-N - 1]):
-        with pytest.raises(IndexError):
+    for wrong in ([[1]], [N], [-N - 1], [1.5], np.arange(N) > 0):
+        with pytest.raises(IndexError, match=f"whole numbers below {N}, got .*$"):
             opened.batch(wrong)
     halves, goals = opened.batch([4, 0], apart=True), made.episodes["goal_points"][OWNERS[[4, 0]]]
     seen = made.steps["observation"][BEFORE[[4, 0]]]
@@ -185,8 +185,6 @@ def test_rewards_of_my_own_reach_every_window(made: Episodes, path: Path) -> Non
     np.testing.assert_array_equal(arrays(path, reward=fewer)["rewards"], own)
     two = Transitions(path, reward=fewer, window=Window(n_step=2, discount=0.5)).batch([0])
     assert two["rewards"] == own[0] + 0.5 * own[1]
-    with pytest.raises(InvalidInput, match=rf"must return {LENGTHS[0]} numbers .* of shape \(\)"):
-        arrays(path, reward=lambda episode, steps: 1.0)
     with pytest.raises(InvalidInput, match=r"finite numbers, got nan in episode 2, step 4$"):
         arrays(path, reward=lambda own, steps: [1.0, 1, 1, 1, np.nan, 1][: own["length"]])
 
@@ -225,8 +223,6 @@ def test_sequences_are_views_of_the_columns(made: Episodes, path: Path) -> None:
     np.testing.assert_array_equal(one["observation"], made.steps["observation"][7:10])
     assert one["episode"].tolist() == [2] and not one["observation"].flags.owndata
     assert len(pickle.loads(pickle.dumps(data))) == len(data)
-    with pytest.raises(InvalidInput, match="has 99 states; the longest has 7"):
-        Sequences(path, 99)
 
 
 @clients
@@ -310,5 +306,3 @@ def test_statistics_are_those_of_the_arrays(path: Path, monkeypatch: Patch) -> N
         assert (found[name]["std"] > 0).all()
         assert np.array_equal(found[name]["min"], held[name].min(axis=0))
         assert np.array_equal(found[name]["max"], held[name].max(axis=0))
-    with pytest.raises(InvalidInput, match="pictures need no statistics"):
-        statistics(TINY["expert"], observation="pixels")

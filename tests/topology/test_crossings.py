@@ -45,7 +45,6 @@ EIGHT = np.array(
         [-2.0, 0.0, 0.0],
     ]
 )
-
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -25,7 +25,6 @@ from knotgym.topology.gauss import GaussCode
 
 CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
-
 planar = st.integers(0, 4).flatmap(lambda nx: st.sampled_from(list(planar_codes(nx))))
 
 

@@ -27,9 +27,7 @@ from knotgym.topology.reidemeister import connected_sum, is_alternating, simplif
 
 CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
-
 SMALL = [name for name in _prime_diagrams() if int(name.split("_")[0]) <= 7]
-
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -22,7 +22,6 @@ CODES = [
     for code in planar_codes(nx)
     for letters in chiralities(code)
 ]
-
 codes = st.sampled_from(CODES)
 symmetries = st.builds(
     Symmetry,
