@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,7 @@ import knotgym
 from knotgym.adapters import goal_env, sb3_vec_env
 from knotgym.common import KnotgymError
 from knotgym.control import PolicyConfig, PolicyFamily, make_policy, register_policy
-from knotgym.datasets import open_episodes, read_table, select
+from knotgym.datasets import read_table, select
 from knotgym.drawing import drawn_curve
 from knotgym.envs import KnotEnv, KnotVectorEnv, TaskConfig
 from knotgym.generate import CollectConfig, ImagesConfig
@@ -41,6 +41,7 @@ from knotgym.topology import GaussCode
 
 DATA = TINY["expert"]
 STEPS: dict[str, Any] = {"steps": 3}
+HALF: dict[str, Any] = {"block": 1.5}
 GOALS, CHUNKS, RNG = Window(goals=GoalSampling()), Window(chunk=2), np.random.default_rng(0)
 STATE: dict[str, Any] = {"observation": "state"}
 CANONICAL: dict[str, Any] = {**STATE, "frame": "canonical"}
@@ -112,7 +113,6 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: make(action="push"), "action must be one of pull, bead, macro, decision, got 'push'"),
     (lambda: make(views=["below"]), "views must be a list of top, left, front"),
     (lambda: make(crossings=3), "unexpected keyword argument 'crossings'; there is nx, split"),
-    (lambda: make(engine="bullet"), "engine must be one of mujoco, chain, got 'bullet'"),
     (lambda: make(render_mode="ansi"), "no render_mode 'ansi'; there is \"rgb_array\""),
     (lambda: started().reset(options={"start": 9999}), "start must be a row with nx = 0"),
     (lambda: started().reset(options={"start": True}), "start must be a row"),
@@ -149,11 +149,9 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: draw_diagram(np.zeros((9, 3))), "point 0 and the next are on one spot"),
     (lambda: knotgym.register_task("tie", lambda nx: (0, nx)), "a new lower-case word, got 'tie'"),
     (lambda: goal_env("tie", hold=2), "hold must be 1 and failure_reward 0, got 2 and 0.0"),
-    (lambda: goal_env("tie", failure_reward=-5.0), "failure_reward 0, got 1 and -5.0"),
     (lambda: goal_env("tie", observation="both"), "needs observation 'pixels', 'state' or 's"),
     (lambda: goal_env("tie", layout="stacked"), "layout 'beside'; got 'pixels' and 'stacked'"),
     (lambda: goal_env("tie", goals=3), "unexpected keyword argument 'goals'; there is nx, split"),
-    (lambda: open_episodes("nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),
     (lambda: arrays(3), "a dataset is an id, a folder or a file, got 3"),
     (lambda: arrays([]), "nothing to merge: give at least one set of episodes"),
     (lambda: batch([0], window=5), "window must be such as Window(n_step=5), got 5"),
@@ -170,10 +168,10 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: as_policy(3), "such as model.predict, a torch module or an ONNX"),
     (lambda: as_policy(len, action="decisions"), "action must be one of pull, bead, macro, dec"),
     (lambda: stream(PLAYED, batch=0), "batch must be a whole number above 0, got 0"),
-    (lambda: stream(PLAYED, block=1.5), "block must be a whole number above 0, got 1.5"),
+    (lambda: stream(PLAYED, **HALF), "block must be a whole number above 0, got 1.5"),
     (lambda: stream(PLAYED, action="macro"), "use action 'pull' or 'bead'"),
     (lambda: stream(ImagesConfig(), action="bead"), "a stream of pictures takes no action"),
-    (lambda: stream(BEADS), "streams are of a CollectConfig or an ImagesConfig, got TaskConfig("),
+    (lambda: stream(cast(Any, BEADS)), "streams are of a CollectConfig or an ImagesConfig, got"),
     (lambda: multiplied(arrays(DATA), 0, np.random.default_rng(0)), "multiplied at least once"),
     (lambda: twice(without="actions"), "a batch to transform has actions"),
     (lambda: twice(without="observations"), "a batch to transform has observations"),

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, Parameter
-from pydantic import NonNegativeInt
 
 from knotgym import common, control, datasets, generate, runs, states
 from knotgym.cli.options import APP, DrawSeed, Given, command
@@ -51,7 +50,7 @@ def gallery(given: Given, source: Source, /, *, out: Path | None = None) -> None
 
 
 @_command("")
-def verify(given: Given, source: Source, /, *, sample: NonNegativeInt = 0) -> None:
+def verify(given: Given, source: Source, /, *, sample: int = 0) -> None:
     """Check a dataset.
 
     Compares checksums and schema, recomputes Gauss codes with two implementations, replays the
@@ -96,7 +95,7 @@ def merge(
         id: Write episodes as a Minari dataset with this id.
     """
     if not sources:
-        raise InvalidInput("name what to merge: two datasets at least")
+        raise InvalidInput("name what to merge: one dataset or several")
     given.progress.stage("merging")
     given.progress.say(datasets.merge(sources, out, id, given.run.overwrite))
 

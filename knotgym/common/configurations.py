@@ -231,7 +231,7 @@ def _refuse(error: ValidationError, kind: type) -> NoReturn:
     if first["type"] == "unexpected_keyword_argument":
         known = ", ".join(field.name for field in dataclasses.fields(kind))
         raise InvalidInput(f"{kind.__name__} has no field {where!r}; it has {known}") from None
-    if first["type"] == "missing":
+    if first["type"] == "missing" and not isinstance(first["loc"][-1], int):
         raise InvalidInput(f"{kind.__name__} needs the field {where!r}") from None
     given = repr(first["input"])
     given = given if len(given) <= _SHOWN else f"{given[: _SHOWN - 3]}..."
@@ -246,6 +246,10 @@ def _problem(error: Any) -> str:
     cause = error.get("ctx", {}).get("error")
     if cause:
         return str(cause)
+    if error["type"] == "missing":  # an item of a list
+        return f"must have at least {error['loc'][-1] + 1} items"
+    if error["type"] == "too_long":
+        return f"must have at most {error['ctx']['max_length']} items"
     problem = str(error["msg"])
     for theirs, ours in _WORDS.items():
         problem = problem.replace(theirs, ours)

@@ -412,7 +412,7 @@ def read_tables(
         raise
     except Exception as error:  # there is no end to what foreign bytes make h5py and NumPy raise
         # trouble of access, which has a number, isn't damage
-        fault = "can't be read" if getattr(error, "errno", None) else f"isn't a whole {format} file"
+        fault = "can't be read" if getattr(error, "errno", None) else "isn't a whole HDF5 file"
         raise InvalidFile(f"{path} {fault}: {one_line(error)}") from error
 
 

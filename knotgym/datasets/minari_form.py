@@ -167,7 +167,12 @@ def publish(
 
 
 def require_file(
-    out: Path, sources: Iterable[Path], overwrite: bool, *, folder: bool = False
+    out: Path,
+    sources: Iterable[Path],
+    overwrite: bool,
+    *,
+    folder: bool = False,
+    pictures: bool = False,
 ) -> None:
     """Check that a plain file, or a folder of such, can be written.
 
@@ -176,9 +181,10 @@ def require_file(
         sources: what it is made from.
         overwrite: whether it may replace an older one.
         folder: whether it is a folder.
+        pictures: whether it holds pictures, which are known by the suffix .parquet.
 
     Raises:
-        InvalidInput: it is in Minari's folder.
+        InvalidInput: it is in Minari's folder, or has the suffix of another kind of file.
         Occupied: as of `require_output`.
     """
     if out.resolve().is_relative_to(minari_root().resolve()):
@@ -186,6 +192,9 @@ def require_file(
             f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
             " knotgym/name-v0, or give another --out"
         )
+    if not folder and pictures != (out.suffix == ".parquet"):
+        rule = "must end in .parquet, as files" if pictures else "must not end in .parquet, the end"
+        raise InvalidInput(f"{out} {rule} of pictures")
     require_output(out, folder=folder, overwrite=overwrite, reads=sources)
 
 

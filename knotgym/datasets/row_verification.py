@@ -111,7 +111,7 @@ def _state_faults(states: States) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
-def _folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
+def _folder_faults(folder: Path, replay: Replay, sample: int = 0) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
@@ -126,7 +126,7 @@ def _folder_faults(folder: Path, replay: Replay) -> Iterator[str]:
         return
     yield from _state_faults(states)
     for file in sorted(folder.glob(f"minari/**/{FILE}")):
-        own = [*episode_faults(file, replay)]
+        own = [*episode_faults(file, replay, sample=sample)]
         yield from own
         if not own:
             name = file.relative_to(folder / "minari").parents[1].as_posix()
@@ -409,10 +409,12 @@ def faults(found: Located, replay: Replay, each: Map = map, sample: int = 0) -> 
         each: `map` or a pool's, for files of pictures; results keep the order.
         sample: how many drawn episodes of each dataset to play again; 0 for all.
     """
+    if sample < 0:
+        raise InvalidInput(f"sample must be at least 0, got {sample}")
     if found.pictures:
         own = _image_faults(found.pictures, each)
     elif found.states and found.root.is_dir():
-        own = _folder_faults(found.root, replay)
+        own = _folder_faults(found.root, replay, sample)
     elif found.states:
         own = _state_faults(read_states(found.states))
     else:

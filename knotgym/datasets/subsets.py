@@ -157,7 +157,7 @@ def split(
         raise InvalidInput(f"{source} can't be cut into {len(shares)} parts: it has {many}")
     names = [f"{whole.stem}-{name}{whole.suffix}" for name in shares]
     for name in names:
-        require_file(whole.with_name(name), [given.digested], overwrite)
+        _require(whole.with_name(name), given, given.digested, overwrite)
     with atomic_write(whole.parent, *names, overwrite=overwrite) as staged:
         for k, (part, name) in enumerate(zip(shares, names, strict=True)):
             rows, how = np.flatnonzero(dealt == k), {"parts": shares, "seed": seed, "part": part}
@@ -362,13 +362,18 @@ def _single_of(dataset: EpisodeDataset) -> Ids:
     return np.argmin(unlike, axis=0)
 
 
+def _require(out: Path, given: _Rows, source: Path, overwrite: bool) -> None:
+    pictures = not isinstance(given.data, (States, EpisodeDataset))
+    require_file(out, [source], overwrite, pictures=pictures)
+
+
 def _write_rows(
     given: _Rows, source: str, rows: Ids, how: Mapping[str, Any], out: Path, overwrite: bool = False
 ) -> Path:
     """Write some rows, at least one, as a new file; return its path."""
     if not len(rows):
         raise InvalidInput(f"none of the {given.size} rows of {source} is left")
-    require_file(out, [resolve(source)], overwrite)
+    _require(out, given, resolve(source), overwrite)
     counts = {"sha256": sha256(given.digested), "rows": given.size, "kept": len(rows)}
     made = {"from": source, **counts, **how, "knotgym": knotgym.__version__}
     with atomic_write(out, overwrite=overwrite) as path:

@@ -118,9 +118,14 @@ def compare(paths: Sequence[Path], console: Console) -> None:
 
 
 def _name(one: _Score, others: Sequence[_Score]) -> str:
-    """Name a policy, and its file where another has a policy of that name."""
+    """Name a policy; where another has that name its file or folder, too."""
     same = [other for other in others if other.result.policy == one.result.policy]
-    return one_line(one.result.policy + f", {one.file.stem}" * (len(same) > 1))
+    if len(same) < 2:
+        return one_line(one.result.policy)
+    files = {other.file for other in same}
+    ways = (lambda file: file.stem), (lambda file: file.name), (lambda file: file.parent.name), str
+    way = next(way for way in ways if len({*map(way, files)}) == len(files))
+    return one_line(f"{one.result.policy}, {way(one.file)}")
 
 
 def _plot(gained: Difference, reach: float) -> str:

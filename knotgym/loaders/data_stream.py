@@ -78,7 +78,7 @@ class DataStream:
         self._config, self._opening, self.number = config, opening, 0
         self._seed = int(getattr(config, "seed", 0) if seed is None else seed)
         # what must be the same where a stream goes on: other batches would repeat rows or skip them
-        settings = as_json(config) if dataclasses.is_dataclass(config) else {}
+        settings: dict[str, Any] = as_json(config) if dataclasses.is_dataclass(config) else {}
         sizes = {name: int(size) for name, size in sizes.items()}
         self._made = {**settings, "seed": self._seed, **sizes}
         self._batch, self._size, self._shuffled, self._repeats = sizes.values()

@@ -216,7 +216,7 @@ HARMED: dict[
     "a boolean version": (attribute("format_version", True), "version True"),
     "attribute of any length": (attribute("n", "a"), "attribute n is object"),
     "attribute to a terminal": (attribute("n", np.bytes_("\x1b")), "control characters"),
-    "attribute of torn JSON": (attribute("n", np.bytes_("{1")), "isn't a whole ours file"),
+    "attribute of torn JSON": (attribute("n", np.bytes_("{1")), "isn't a whole HDF5 file"),
 }
 
 
@@ -236,7 +236,7 @@ def test_a_harmed_file_is_refused_in_one_line(path: Path, harm: str) -> None:
 def test_a_torn_file_is_refused(path: Path, share: float) -> None:
     raw = path.read_bytes()
     path.write_bytes(raw[: int(share * len(raw))])
-    with pytest.raises(InvalidFile, match="isn't a whole ours file"):
+    with pytest.raises(InvalidFile, match="isn't a whole HDF5 file"):
         read_back(path)
 
 

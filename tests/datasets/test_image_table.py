@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from synthetic_pictures import picture_rows
 
-from knotgym.common import InvalidFile
+from knotgym.common import InvalidFile, InvalidInput
 from knotgym.datasets import image_table as tables
+from knotgym.datasets import select
 from knotgym.datasets.image_table import decode, drawn_table, encode, read_table
 from knotgym.datasets.row_verification import _image_faults
+from knotgym.datasets.subsets import kept
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 
@@ -50,6 +52,13 @@ def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
         return pa.Table.from_pylist(rows, schema=table.schema)
 
     return changed(shard, tmp_path, change)
+
+
+def test_a_file_of_selected_pictures_is_known_by_its_suffix(shard: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="must end in .parquet, as files of pictures"):
+        select(shard, out=tmp_path / "part")
+    assert not any(tmp_path.iterdir())
+    assert kept(select(shard, out=tmp_path / "part.parquet")) == "1 of 1 rows"
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Results are compared in pairs of the same cell, episode by episode where starts are the same."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,10 @@ def test_the_command_draws_each_difference(made: Made, capsys: Capture, tmp_path
     other = tmp_path / "other.json"
     assert knotgym("evaluate", *words, "--out", other, "--workers", 1, "--quiet") == 0
     assert knotgym("compare", other, made[1]) == 0
+    copy = shutil.copytree(made[1].parent, tmp_path / "b") / "scores.json"
+    assert knotgym("compare", copy, made[1]) == 0
+    said = capsys.readouterr().out
+    assert "random, b" in said and "random, compared" in said
     assert knotgym("compare", other) == 2 and "no two results" in capsys.readouterr().err
     assert knotgym("compare") == 2 and knotgym("compare", tmp_path / "none.h5") == 2
 

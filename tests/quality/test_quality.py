@@ -20,7 +20,6 @@ from ..conftest import curled
 
 PIXEL = PictureConfig().view / PictureConfig().size  # metres
 RADIUS = PictureConfig().rope_radius / PIXEL  # pixels
-
 PERFECT = Quality(90.0, 128.0, 128.0, 128.0, 900.0, 900.0, 40.0, 20.0, 0.0, 1.0, 0.0)
 LIMITS = (Limits(), Limits.UNTWISTED, Limits.UNAMBIGUOUS)
 

@@ -22,7 +22,6 @@ from ..conftest import curled
 
 Array = NDArray[np.float64]
 pytestmark = pytest.mark.thorough
-
 ACTION = 0.192  # seconds
 PULL = np.array([0.12, -0.1, 0.05])  # newtons
 BEAD = 30
