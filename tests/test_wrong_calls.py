@@ -34,10 +34,10 @@ from knotgym.loaders import (
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering import draw, draw_diagram
+from knotgym.rendering import draw, draw_diagram, photograph
 from knotgym.rope import RopeConfig
 from knotgym.runs import executor
-from knotgym.topology import GaussCode
+from knotgym.topology import GaussCode, label, label_many, parse_codes
 
 DATA = TINY["expert"]
 STEPS: dict[str, Any] = {"steps": 3}
@@ -191,6 +191,11 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: batch([0], relabel="all", reward=len), "leave out reward"),
     (lambda: batch([0], relabel="all", window=GOALS), "leave out relabel"),
     (lambda: Window(discount=1, goals=GoalSampling()), "geometrically"),
+    (lambda: label(1e200 * np.eye(3)), "coordinates reach 1e+200; scale them to between 1e-30 and"),
+    (lambda: label_many(1e-200 * np.eye(3)[None]), "coordinates reach 1e-200; scale them"),
+    (lambda: [*parse_codes("[4,6,8,2]\n[4,6,2")], "line 2: invalid PD or DT code, it can't be"),
+    (lambda: photograph(np.zeros((9, 2)), 256, RNG), "points must have shape (beads, 3)"),
+    (lambda: photograph(np.eye(3), 8, RNG), "size must be from 16 to 2048 pixels, got 8"),
     (lambda: draw(np.zeros((2, 3))), "at least 3 beads, got (2, 3)"),
     (lambda: draw(np.full((10, 3), np.nan)), "finite"),
     (lambda: draw_diagram(np.full((10, 3), np.nan)), "finite"),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Stream
 from knotgym.rendering.appearances import TILT, AppearanceConfig
-from knotgym.rendering.camera import DEFAULT
+from knotgym.rendering.camera import DEFAULT, checked_points, require
 from knotgym.rendering.photo_look import LIMITS, WIDTHS, Photo, drawn_look
 from knotgym.rendering.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
 from knotgym.rendering.variation import Camera, Drawer, Drawn, Rng
@@ -82,7 +82,13 @@ def photograph(
 
     Returns:
         None if no camera of several shows a legible picture.
+
+    Raises:
+        InvalidInput: points are no closed rope, or the size isn't from 16 to 2048.
     """
+    checked_points(points, 2)
+    require(size in range(16, 2049), "size must be from 16 to 2048 pixels", size)
+    points = np.asarray(points, dtype=np.float64)
     for _ in range(_TRIES):
         # from many directions strands touch or fold, whatever the appearance; then another is tried
         camera = _drawn_camera(rng, tilt)

@@ -297,6 +297,12 @@ def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
             f"no closed rope: the array has shape {rope.shape}; expected {expected} with at least 3"
             " beads"
         )
+    # products of up to six coordinates are compared, which must neither overflow nor vanish
+    reach = np.abs(rope).max(initial=0.0)
+    if 1e30 < reach < np.inf or 0 < reach < 1e-30:
+        raise InvalidInput(
+            f"no closed rope: coordinates reach {reach:.3g}; scale them to between 1e-30 and 1e30"
+        )
     return rope
 
 

@@ -186,7 +186,9 @@ def _parse_code(text: str) -> GaussCode:
     # Spaces beside punctuation mean nothing; those that are left part numbers, as commas do.
     tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", tight)
     tight = re.sub(r"\s+", ",", tight)
-    for pattern, read in _READERS:
+    # a list that was cut off may be that of another code
+    is_whole = all(tight.count(one) <= tight.count(end) for one, end in ("[]", "()"))
+    for pattern, read in _READERS if is_whole else ():
         if pattern.fullmatch(tight) and (code := read(tight, text)) is not None:
             return code
     if tight[:1] in ("[", "(", "P", "D", "X"):
@@ -197,7 +199,7 @@ def _parse_code(text: str) -> GaussCode:
 
 
 def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
-    """Read the codes of a list, one a line; "#" begins a comment.
+    """Read the codes of a list or text, one a line; "#" begins a comment.
 
     Brackets may be closed in a later line.
 
@@ -209,6 +211,7 @@ def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
     """
     held: list[str] = []
     opened = first = 0
+    lines = lines.splitlines() if isinstance(lines, str) else lines
     for number, line in enumerate(chain(lines, [None]), 1):
         if text := (line or "").partition("#")[0].strip():
             first = first if held else number
