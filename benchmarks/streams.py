@@ -107,7 +107,7 @@ def photos(room: Path, sizes: list[int]) -> None:
         own = stream(config, seed, batch=PHOTO_BATCH, block=640, shuffled=1, repeats=10)
         for number in range(count):
             if not Path(path(seed, number)).exists():
-                own.load_state_dict({"seed": seed, "number": number})
+                own.load_state_dict({**own.state_dict(), "number": number})
                 drawn = next(iter(own))
                 np.savez(path(seed, number), image=drawn["image"], nx=drawn["nx"])
 
