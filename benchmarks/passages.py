@@ -208,7 +208,7 @@ def at_crossings(points: Array, chance: Array, beads: Integers, others: Integers
 
 
 def pulls(ropes: Simulation, way: str, step: int, number: int) -> tuple[Integers, Array]:
-    """Return the beads and forces, newtons, of an action of slice `number`, see `WAYS`."""
+    """Return beads and forces, in units of the largest, of an action of slice `number`."""
     rng, held = (np.random.default_rng([number, *at]) for at in ((1, step), (2, step // HOLD)))
     count, total, rows = ropes.count, ropes.rope.config.beads, np.arange(ropes.count)
     beads, forces = ropes.read_actions(rng.uniform(-1, 1, (count, 6)))
@@ -225,7 +225,7 @@ def pulls(ropes: Simulation, way: str, step: int, number: int) -> tuple[Integers
     if way in ("through", "across"):
         forces = ropes.points[rows, others] - ropes.points[rows, beads]
     if way != "random":
-        forces = forces * ropes.max_force / np.linalg.norm(forces, axis=1, keepdims=True)
+        forces = forces / np.linalg.norm(forces, axis=1, keepdims=True)
     return beads, forces
 
 
@@ -271,7 +271,7 @@ def play(engine: str, number: int, count: int, length: int) -> dict[str, Any]:
     for step in range(length):
         states, before = ropes.states(), ropes.points.copy()
         beads, forces = pulls(ropes, way, step, number)
-        forces = strength * forces
+        forces = strength * ropes.max_force * forces
         counts["blew up"] += int((~ropes.step(beads, forces)).sum())
         counts["held back"] += int((ropes.applied_shares < 1).sum())
         counts["not finite"] += int((~np.isfinite(ropes.points).all(axis=(1, 2))).sum())

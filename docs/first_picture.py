@@ -62,14 +62,14 @@ def _pull(heading: str, bead: int, axis: int, view: str) -> Canvas:
     """Draw a rope before and after a pull, one above the other, and the action between them."""
     ropes = simulation(MUJOCO)
     before = ropes.points[0].copy()
-    force = np.eye(3)[axis] * ropes.rope.config.max_force
+    force = np.eye(3)[axis]
     action = ropes.actions([bead], force[None])[0]
     ropes.act(action[None])
     config = PictureConfig(size=_PANEL, views=(view,))
     right, up = _RIGHT_UP[view]
     old, new = draw(before, config), _over(ropes.points[0], before, config, (right, up))
     start = _pixel(before[bead], before, config, (right, up))
-    toward = np.array([force[right], -force[up]]) / ropes.rope.config.max_force
+    toward = np.array([force[right], -force[up]])
     end = (start[0] + _ARROW * toward[0], start[1] + _ARROW * toward[1])
     _arrow(old, start, end)
     _axes(old, "xyz"[right], "xyz"[up])

@@ -109,7 +109,7 @@ def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
     ropes, pulls = [simulation.points[0].copy()], []
     for action in states.source["actions"][row, : states.source["steps"][row]]:
         beads, forces = simulation.read_actions(action[None])
-        pulls.append((int(beads[0]), forces[0] / rope.max_force))
+        pulls.append((int(beads[0]), forces[0]))
         simulation.act(action[None])
         ropes.append(simulation.points[0].copy())
     # where a reset lays the rope; the chain engine's own vertices differ by rounding

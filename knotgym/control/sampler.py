@@ -334,7 +334,8 @@ class _Record:
         self._put("force", pulls.ids, pulls.forces)
         for name, own in (("action", pulls), ("expert_action", advised)):
             if name in self._steps and own is not None:
-                self._put(name, own.ids, self._actions(own))
+                actions = self._batch.simulation.actions(own.beads, own.forces, own.ids)
+                self._put(name, own.ids, actions)
         if pulls.macros is None:
             # a player always says, or never does
             for name in MACROS:
@@ -427,11 +428,6 @@ class _Record:
             if name in _CODES and values.shape[1] > self._steps[name].shape[2]:
                 self._steps[name] = padded(self._steps[name], values.shape[1])
             self._put(name, ids, values)
-
-    def _actions(self, pulls: Pulls) -> NDArray[np.float32]:
-        simulation = self._batch.simulation
-        newtons = pulls.forces.astype(np.float64) * simulation.max_force
-        return simulation.actions(pulls.beads, newtons, pulls.ids)
 
     def _put(self, name: str, ids: Ids, values: Any, back: int = 0) -> None:
         if name in self._steps:

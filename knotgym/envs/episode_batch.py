@@ -270,9 +270,7 @@ class EpisodeBatch:
         if self.task.frame == "canonical":
             actions = self.world_actions(self.view, actions, ids)
         if self.task.action == "pull":
-            beads, _ = self.simulation.read_actions(actions, ids)
-            forces = np.clip(np.asarray(actions, dtype=np.float64)[:, 3:], -1.0, 1.0)
-            return self.pull(ids, beads, forces, meanwhile)
+            return self.pull(ids, *self.simulation.read_actions(actions, ids), meanwhile)
         self.view.begin(actions, ids)
         total = Outcome(np.zeros(len(ids)), *np.zeros((2, len(ids)), dtype=bool))
         rows = np.arange(len(ids))

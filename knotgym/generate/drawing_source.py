@@ -380,8 +380,7 @@ def _stirred(
         strength = rng.uniform(weakest, strongest) if step < steps else 0.0
         heading, bead = rng.uniform(-np.pi, np.pi), rng.integers(len(simulation.points[0]), size=1)
         pull = strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])
-        newtons = pull.astype(np.float32).astype(np.float64) * simulation.max_force
-        action = simulation.actions(bead, newtons, _ONE)
+        action = simulation.actions(bead, pull, _ONE)
         if not simulation.act(action, _ONE).all():
             return None
         actions.append(action[0])

@@ -167,9 +167,7 @@ class _PhasePlayer(Player):
             beads[own], forces[own] = self._phases[phase](ids[own])
         recorded = np.flatnonzero(steps < self._ends[-1])
         some = ids[recorded]
-        # in float64, or the actions would round otherwise than the pulls
-        newtons = forces[recorded].astype(np.float64) * self._simulation.max_force
-        made = self._simulation.actions(beads[recorded], newtons, some)
+        made = self._simulation.actions(beads[recorded], forces[recorded], some)
         self._policy.actions[self._batch.number[some], steps[recorded]] = made
         return Pulls(ids, beads, forces)
 

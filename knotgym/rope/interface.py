@@ -123,33 +123,33 @@ class Simulation(ABC):
             InvalidInput: a number is NaN or outside [-1, 1]; no rope has moved.
         """
         beads, forces = self.read_actions(actions, ids)
-        return self.step(beads, forces, ids)
+        return self.step(beads, self.max_force * forces, ids)
 
     def read_actions(self, actions: ArrayLike, ids: Ids = None) -> tuple[NDArray[np.int64], Array]:
         """Check and decode actions (len(ids), 6).
 
         Returns:
-            beads int64 (len(ids),); forces float64 (len(ids), 3), newtons.
+            beads int64 (len(ids),); forces float64 (len(ids), 3), in units of the largest.
         """
         where = self._all(ids)
         what = "an action is 6 numbers in [-1, 1] (x, y, z, fx, fy, fz)"
-        clipped, config = checked(actions, (len(where), 6), what), self.rope.config
+        clipped, reach = checked(actions, (len(where), 6), what), self.rope.config.reach
         beads = np.empty(len(where), dtype=np.int64)
 
         def _read(rows: slice) -> None:
-            positions = config.reach * clipped[rows, :3]
+            positions = reach * clipped[rows, :3]
             beads[rows] = nearest_beads(self.points[where[rows]], positions)
 
         # shared among the threads, as everything is that grows with the number of ropes
         self.threads.spread(_read, len(where))
-        return beads, config.max_force * clipped[:, 3:]
+        return beads, clipped[:, 3:]
 
     def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:
-        """Return actions that `act` decodes to these beads and forces; its inverse.
+        """Return actions of these beads and forces; the inverse of `read_actions`.
 
         Args:
             beads: int (len(ids),).
-            forces: (len(ids), 3), newtons; components are clipped to the largest force.
+            forces: (len(ids), 3), in units of the largest; components are clipped to [-1, 1].
             ids: the ropes, in increasing order; None for all.
 
         Returns:
@@ -158,8 +158,7 @@ class Simulation(ABC):
         # The bead's own position names it best: no other bead is nearer to it. In float32 it is off
         # by 1e-7 of `reach`, far less than beads are apart.
         position = self.points[self._all(ids), np.asarray(beads)] / self.rope.config.reach
-        force = np.asarray(forces, dtype=np.float64) / self.max_force
-        return np.clip(np.concatenate([position, force], axis=1), -1, 1).astype(np.float32)
+        return np.clip(np.concatenate([position, forces], axis=1), -1, 1).astype(np.float32)
 
     def _all(self, ids: Ids) -> NDArray[np.int64]:
         return np.arange(self.count) if ids is None else np.asarray(ids, dtype=np.int64)

@@ -178,7 +178,7 @@ def test_info_tells_the_pull_by_the_same_keys_and_types_at_every_step(make: Make
     env = make("tie", horizon=3)
     infos = [env.reset(seed=0)[1]]
     assert infos[0]["bead"] == -1 and not infos[0]["force"].any()
-    action = env.episodes.simulation.actions([17], [[0.1, -0.2, 0.05]])[0]
+    action = env.episodes.simulation.actions([17], [[0.5, -1.0, 0.25]])[0]
     infos.append(env.step(action)[-1])
     assert infos[1]["bead"] == 17 and np.allclose(infos[1]["force"], [0.1, -0.2, 0.05])
     blow_up(env.episodes.simulation)

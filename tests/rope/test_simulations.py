@@ -118,12 +118,12 @@ def test_rounding_beyond_1_is_taken_for_1(engine: str) -> None:
 def test_actions_and_read_actions_are_inverse(engine: str) -> None:
     ropes, rng = laid(engine, 8), np.random.default_rng(0)
     for _ in range(20):
-        beads, forces = rng.integers(0, 100, 8), rng.uniform(-0.2, 0.2, (8, 3))
+        beads, forces = rng.integers(0, 100, 8), rng.uniform(-1, 1, (8, 3))
         actions = ropes.actions(beads, forces)
         assert actions.dtype == np.float32 and np.abs(actions).max() <= 1
         read, pulled = ropes.read_actions(actions)
         assert np.array_equal(read, beads) and np.abs(pulled - forces).max() < 1e-7
-    strong = ropes.actions(np.full(8, 3), np.tile([9.0, -9.0, 0.1], (8, 1)))
+    strong = ropes.actions(np.full(8, 3), np.tile([9.0, -9.0, 0.5], (8, 1)))
     assert np.allclose(strong[:, 3:], [1.0, -1.0, 0.5])
 
 
@@ -221,6 +221,6 @@ def test_an_eased_step_says_which_share_of_the_force_it_applied(row: int, share:
     for action in actions:
         beads, asked = other.read_actions(action[None])
         simulation.act(action[None])
-        other.step(beads, simulation.applied_shares[:, None] * asked)
+        other.step(beads, simulation.applied_shares[:, None] * (other.max_force * asked))
         assert np.array_equal(simulation.states(), other.states())
     assert simulation.applied_shares.tolist() == [share]
