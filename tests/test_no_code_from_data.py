@@ -16,7 +16,7 @@ IMPORTS = {
     "control/policies.py": "modules of its room, names in the code",
     "control/policy_config.py": "the table of policies of its room, named in the code",
     "datasets/exports/__init__.py": "functions of its table, named in the code",
-    "generate/images_config.py": "its recipe, named in the code",
+    "generate/generate_config.py": "its recipe, named in the code",
     "prompting/chat.py": "the HTTP library of the client that is installed",
     "states/sources.py": "recipes of sources, named in the code; a file names a source, not code",
     "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",

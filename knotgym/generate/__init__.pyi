@@ -8,8 +8,8 @@ from .episode_configs import SuiteConfig as SuiteConfig
 from .evaluation import evaluate as evaluate
 from .evaluation import film as film
 from .generate_config import GenerateConfig as GenerateConfig
+from .generate_config import ImagesConfig as ImagesConfig
 from .image_recipe import make_images as make_images
-from .images_config import ImagesConfig as ImagesConfig
 from .imported_curves import import_curves as import_curves
 from .play_source import PhasedPulls as PhasedPulls
 from .recordings import Recording as Recording

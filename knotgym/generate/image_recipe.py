@@ -29,7 +29,7 @@ from knotgym.common import Failed, InvalidInput, MissingExtra, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes, PictureRow, drawn_table, finish, parquet, shard_name
 from knotgym.envs import TaskConfig
-from knotgym.generate.images_config import ImagesConfig
+from knotgym.generate.generate_config import ImagesConfig
 from knotgym.quality import base_spacing, grade_of, measure
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
 from knotgym.rope import Array, RopeConfig
