@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream, Table
+from knotgym.common import Array, Stream, Table
 from knotgym.generate import GenerateConfig, PhasedPulls, judge
 from knotgym.quality import Limits
-from knotgym.rope import CHAIN, Array, Rope
+from knotgym.rope import CHAIN, Rope
 from knotgym.states import STATE_SPLITS, States, nearest, pairs_within, read_states, resolve_states
 from knotgym.topology import GaussCode, label
 

@@ -33,15 +33,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import Failed
+from knotgym.common import Array, Failed, Ids
 from knotgym.drawing import drawn_curve
 from knotgym.generate import PhasedPulls
 from knotgym.rope import CHAIN, MUJOCO, RopeConfig, simulation_of
 from knotgym.states import read_states, shipped
 from knotgym.topology import CodeArrays, label_many, uniform_code
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 WIDTH = 128  # crossings; the few ropes with more are labelled in rational numbers
 _HALF_ULP = 2.0**-53
@@ -125,7 +122,7 @@ def _certain(p: Array, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> in
 
 
 @njit
-def _label_all(points: Array, visits: Array, signs: Array, counts: Integers) -> None:
+def _label_all(points: Array, visits: Array, signs: Array, counts: Ids) -> None:
     for rope in range(len(points)):
         counts[rope] = _certain(points[rope], visits[rope], signs[rope])
 

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import Stream
+from knotgym.common import Array, Stream
 from knotgym.control import BatchedSearch, Moves, PassPlannerConfig, PassSearch, PassValues, Sight
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import Array, Pass
+from knotgym.rope import Pass
 from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, codes_of, label
 
 TASKS = (("tie", 2), ("tie", 3), ("tie", 4), ("convert", 3), ("unknot", 4))

@@ -35,15 +35,13 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from knotgym.common import Array, Ids
 from knotgym.drawing import drawn_curve
 from knotgym.generate import PhasedPulls
-from knotgym.rope import CHAIN, ENGINES, Array, ChainSimulation, Simulation, simulation
+from knotgym.rope import CHAIN, ENGINES, ChainSimulation, Simulation, simulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import GaussCode
-
-Integers = NDArray[np.int64]
 
 PRIME = 2**31 - 1
 HOLD = 20  # actions with the same bead and direction
@@ -170,7 +168,7 @@ def _power(base: int, exponent: int) -> int:
 
 
 @njit
-def _determinant(rows: Integers) -> int:
+def _determinant(rows: Ids) -> int:
     found = 1
     for k in range(len(rows)):
         pivot = k
@@ -196,7 +194,7 @@ def knot(points: Array) -> list[int]:
 
 
 @njit
-def at_crossings(points: Array, chance: Array, beads: Integers, others: Integers) -> None:
+def at_crossings(points: Array, chance: Array, beads: Ids, others: Ids) -> None:
     """Write for each rope that crosses itself a bead at a crossing and the one across it."""
     for rope in range(len(points)):
         found = _crossings(points[rope])
@@ -207,7 +205,7 @@ def at_crossings(points: Array, chance: Array, beads: Integers, others: Integers
             beads[rope], others[rope] = int(over), int(under)
 
 
-def pulls(ropes: Simulation, way: str, step: int, number: int) -> tuple[Integers, Array]:
+def pulls(ropes: Simulation, way: str, step: int, number: int) -> tuple[Ids, Array]:
     """Return beads and forces, in units of the largest, of an action of slice `number`."""
     rng, held = (np.random.default_rng([number, *at]) for at in ((1, step), (2, step // HOLD)))
     count, total, rows = ropes.count, ropes.rope.config.beads, np.arange(ropes.count)
@@ -247,7 +245,7 @@ def starts(ropes: Simulation) -> Array:
     return np.concatenate([found[: ropes.count // 4 * 3], bench[rows]])
 
 
-def substeps(ropes: ChainSimulation, state: Array, bead: Integers, force: Array) -> Array:
+def substeps(ropes: ChainSimulation, state: Array, bead: Ids, force: Array) -> Array:
     """Carry out an action of one rope again; return its points before and after each substep."""
     one = ChainSimulation(1, ropes.rope)
     one.restore(state)

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from knotgym.common import Array
 from knotgym.generate import PhasedPulls
-from knotgym.rope import CHAIN, Array, RopeConfig, simulation_of
+from knotgym.rope import CHAIN, RopeConfig, simulation_of
 from knotgym.topology import label
 
 ROPES, EVERY = 64, 4  # ropes side by side; pulls between two looks at a rope

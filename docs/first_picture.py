@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common import Array
 from knotgym.datasets import encode
 from knotgym.rendering import PictureConfig, draw, project
-from knotgym.rope import MUJOCO, Array, Rope, simulation
+from knotgym.rope import MUJOCO, Rope, simulation
 from knotgym.topology import find_crossings
 
 PAGES = Path(__file__).parent

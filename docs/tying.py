@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from knotgym.common import Array
 from knotgym.control import PolicyConfig
 from knotgym.datasets import Episodes, open_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import CollectConfig, collect
 from knotgym.rendering import Film, draw_diagram
-from knotgym.rope import CHAIN, Array
+from knotgym.rope import CHAIN
 from knotgym.runs import Progress, RunOptions
 from knotgym.topology import label
 

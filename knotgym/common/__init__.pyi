@@ -1,3 +1,5 @@
+from .arrays import Array as Array
+from .arrays import Ids as Ids
 from .atomic_files import atomic_write as atomic_write
 from .atomic_files import move_into_place as move_into_place
 from .atomic_files import remove as remove
@@ -23,7 +25,6 @@ from .configurations import from_json as from_json
 from .configurations import merged as merged
 from .configurations import read_json as read_json
 from .counts import Counts as Counts
-from .counts import Done as Done
 from .errors import Failed as Failed
 from .errors import InvalidFile as InvalidFile
 from .errors import InvalidInput as InvalidInput

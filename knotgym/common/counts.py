@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 Item = TypeVar("Item")
-Done: TypeAlias = int | Callable[[], int]  # how many items are done, or what returns that by now
 
 
 class Counts:
@@ -22,6 +21,8 @@ class Counts:
             `multiprocessing.Value` here.
     """
 
+    # how many items are done, or what returns that by now
+    Done: TypeAlias = int | Callable[[], int]
     listeners: ClassVar[list[Callable[[str, Done, int], None]]] = []
     ended: ClassVar[Any] = SimpleNamespace(value=0)
 

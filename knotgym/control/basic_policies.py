@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, InvalidPolicy
-from knotgym.control.sampler import Ids, Pulls
+from knotgym.common import Ids, InvalidInput, InvalidPolicy
+from knotgym.control.sampler import Pulls
 from knotgym.envs import EpisodeBatch
 from knotgym.rope import ActionView, nearest_beads
 

@@ -33,11 +33,11 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidPolicy
+from knotgym.common import Ids, InvalidPolicy
 from knotgym.control.basic_policies import ActionPlayer
 from knotgym.control.policies import user_code
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.sampler import Ids, Player, Policy, Pulls, SimplePolicy
+from knotgym.control.sampler import Player, Policy, Pulls, SimplePolicy
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import ActionView
 

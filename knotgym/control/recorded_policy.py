@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidPolicy, KnotgymError, Table
+from knotgym.common import Ids, InvalidPolicy, KnotgymError, Table
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.sampler import Ids, Player, Pulls, SimplePolicy, rollouts
+from knotgym.control.sampler import Player, Pulls, SimplePolicy, rollouts
 from knotgym.datasets import MACROS, Episodes, open_episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 

@@ -19,12 +19,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Counts, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
+from knotgym.common import Counts, Ids, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown
 from knotgym.envs import EpisodeBatch, TaskConfig
-
-Ids = NDArray[np.int64]
 
 _CODES = ("visits", "signs")  # columns that widen with the longest code
 _PULLED = frozenset({"bead", "force", "action", "expert_action", *MACROS})

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Counts, InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
+from knotgym import common
+from knotgym.common import Array, Counts, InvalidFile, KnotgymError, MissingFile, Stream, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import Array
 from knotgym.states import NEAR, States, distances, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
@@ -127,7 +127,7 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "path": str(dataset.path),
         "dataset_id": (dataset.metadata or {}).get("dataset_id"),
         "form": dataset.attributes["form"],
-        "task": as_json(dataset.task),
+        "task": common.as_json(dataset.task),
         "episodes": own.rows,
         "steps": int(own["length"].sum()),
         "lengths": _spread(own["length"]),

@@ -26,12 +26,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Column, InvalidInput, Schema, Table, padded
+from knotgym.common import Column, Ids, InvalidInput, Schema, Table, padded
 from knotgym.envs import TaskConfig
 from knotgym.rope import FORCE_BINS, TowBound, quantized
 from knotgym.topology import CodeArrays, GaussCode
 
-Ids = NDArray[np.int64]
 _COLUMNS = tomllib.loads((files("knotgym.datasets") / "episodes.toml").read_text("utf-8"))
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import (
+    Array,
     Counts,
     InvalidFile,
     MissingExtra,
@@ -33,7 +34,6 @@ from knotgym.common import (
 )
 from knotgym.quality import Limits, Quality, grade_of
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
-from knotgym.rope import Array
 from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest
 
 FORMAT = "knotgym-images"

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import (
+    Array,
     Counts,
     InvalidFile,
     InvalidInput,
@@ -40,7 +41,7 @@ from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import TaskConfig
 from knotgym.quality import Limits, Quality
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
-from knotgym.rope import ENGINES, MUJOCO, Array, Rope, RopeConfig, drawn_actions, simulation
+from knotgym.rope import ENGINES, MUJOCO, Rope, RopeConfig, drawn_actions, simulation
 from knotgym.states import (
     IMAGE_SPLITS,
     SOURCES,

@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common import (
+    Array,
     Counts,
+    Ids,
     InvalidFile,
     InvalidInput,
     MissingExtra,
@@ -44,7 +46,6 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.located import locate
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish, require_file
 from knotgym.envs import TaskConfig, task_sides
-from knotgym.rope import Array
 from knotgym.states import (
     States,
     families,
@@ -57,7 +58,6 @@ from knotgym.states import (
     write_states,
 )
 
-Ids = NDArray[np.int64]
 _RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")
 _PART = re.compile(r"([A-Za-z0-9_]+)=([0-9]{0,9}\.?[0-9]{1,9})")
 _LONGEST = 2000  # characters

@@ -26,11 +26,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import inner
+from knotgym.common import Array, Ids, inner
 from knotgym.topology import GaussCode, faces
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 CUTS = 3  # nodes inside an edge; two are enough for a simple triangulation
 # Random codes of 6 crossings need up to 480 sweeps, of 10 up to 1,550. Relaxation moves every node
@@ -54,11 +51,11 @@ class PlanarMap:
         nodes: number of nodes.
     """
 
-    walk: Integers
-    left: Integers
-    right: Integers
-    triangles: Integers
-    rim: Integers
+    walk: Ids
+    left: Ids
+    right: Ids
+    triangles: Ids
+    rim: Ids
     nodes: int
 
 
@@ -100,14 +97,14 @@ def planar_map(code: GaussCode, outer: int) -> PlanarMap:
     return PlanarMap(walk, side[0::2], side[1::2], np.concatenate(triangles), rim, nodes)
 
 
-def _nodes_of(dart: int, walk: Integers, step: int) -> Integers:
+def _nodes_of(dart: int, walk: Ids, step: int) -> Ids:
     """Return the nodes along a dart, without the one at its end."""
     edge, back = divmod(dart, 2)
     along = np.take(walk, np.arange(edge * step, (edge + 1) * step + 1), mode="wrap")
     return along[:0:-1] if back else along[:-1]
 
 
-def pack_circles(triangles: Integers, rim: Integers, nodes: int) -> Array:
+def pack_circles(triangles: Ids, rim: Ids, nodes: int) -> Array:
     """Return the centres of the circles, float64 (nodes, 2); circles on the rim have radius 1.
 
     Args:
@@ -121,7 +118,7 @@ def pack_circles(triangles: Integers, rim: Integers, nodes: int) -> Array:
     return _laid_out(_radii(first, petals, inner), first, petals, inner, int(triangles[-1, 0]))
 
 
-def _flowers(triangles: Integers, nodes: int) -> tuple[Integers, Integers]:
+def _flowers(triangles: Ids, nodes: int) -> tuple[Ids, Ids]:
     """List the neighbours ("petals") of each node counterclockwise.
 
     Returns:
@@ -157,7 +154,7 @@ def _between(one: float, own: float, other: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _radii(first: Integers, petals: Integers, inner: NDArray[np.bool_]) -> Array:
+def _radii(first: Ids, petals: Ids, inner: NDArray[np.bool_]) -> Array:
     """Compute the radii, float64 (nodes,), for which the angles at each inner node sum to 2 pi."""
     nodes = len(inner)
     radii = np.ones(nodes)
@@ -183,9 +180,7 @@ def _radii(first: Integers, petals: Integers, inner: NDArray[np.bool_]) -> Array
 
 
 @numba.njit(cache=True, nogil=True)
-def _laid_out(
-    radii: Array, first: Integers, petals: Integers, inner: NDArray[np.bool_], start: int
-) -> Array:
+def _laid_out(radii: Array, first: Ids, petals: Ids, inner: NDArray[np.bool_], start: int) -> Array:
     """Place the centres breadth-first from the inner node `start`, float64 (nodes, 2).
 
     Around each inner node that has been placed, its neighbours follow at known distances and

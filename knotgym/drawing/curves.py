@@ -13,11 +13,11 @@ import math
 
 import numpy as np
 
-from knotgym.common import Failed, InvalidInput
+from knotgym.common import Array, Failed, Ids, InvalidInput
 from knotgym.drawing.circle_packing import pack_circles, planar_map, sin_cos
 from knotgym.drawing.drawing_config import DrawingConfig
-from knotgym.drawing.layout_relaxation import Integers, relax_layout
-from knotgym.rope import Array, Rope
+from knotgym.drawing.layout_relaxation import relax_layout
+from knotgym.rope import Rope
 from knotgym.topology import GaussCode, faces, label, with_chirality
 
 # Of 40 random codes drawn once on 100 beads, 18 fit with 6.25 beads per edge (8 crossings), 9 with
@@ -72,9 +72,7 @@ def drawn_curve(
     return points
 
 
-def _flat(
-    code: GaussCode, rng: np.random.Generator, config: DrawingConfig
-) -> tuple[Array, Integers]:
+def _flat(code: GaussCode, rng: np.random.Generator, config: DrawingConfig) -> tuple[Array, Ids]:
     """Draw the code in the plane.
 
     Returns:
@@ -100,7 +98,7 @@ def _flat(
 
 def _lifted(
     flat: Array,
-    visits: Integers,
+    visits: Ids,
     code: GaussCode,
     rng: np.random.Generator,
     length: float,

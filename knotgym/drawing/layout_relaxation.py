@@ -23,12 +23,8 @@ then `knotgym generate --no-demonstrations --nx 0-4 --every-code 1`: all 401 cod
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from knotgym.common import inner
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from knotgym.common import Array, Ids, inner
 
 # These were set by eye when drawings were introduced (2026, commits 78e73fb and 2cf8d22).
 # `benchmarks/drawing.py` at f6d1acb halves and doubles each. Of 60 codes of nx 6, drawn once, 53 %
@@ -46,9 +42,7 @@ PUSH, REACH = 80000.0, 0.025  # repulsion between strands, per face; within 6 pi
 MOST, STEP = 0.01, 0.4  # largest displacement of a node; fraction of the Newton step that is taken
 
 
-def relax_layout(
-    at: Array, walk: Integers, left: Integers, right: Integers, shares: Array
-) -> tuple[Array, Integers]:
+def relax_layout(at: Array, walk: Ids, left: Ids, right: Ids, shares: Array) -> tuple[Array, Ids]:
     """Relax a diagram drawn with straight segments.
 
     The drawing is relaxed with few segments first, then with twice as many, and so on: large moves
@@ -74,7 +68,7 @@ def relax_layout(
         iterations = LATER
 
 
-def _split(at: Array, walk: Integers) -> tuple[Array, Integers]:
+def _split(at: Array, walk: Ids) -> tuple[Array, Ids]:
     """Split every segment in two at its midpoint."""
     midpoints = (at[walk] + at[np.roll(walk, -1)]) / 2
     cuts = len(at) + np.arange(len(walk))
@@ -84,9 +78,9 @@ def _split(at: Array, walk: Integers) -> tuple[Array, Integers]:
 @numba.njit(cache=True, nogil=True)
 def _relax(
     at: Array,
-    walk: Integers,
-    left: Integers,
-    right: Integers,
+    walk: Ids,
+    left: Ids,
+    right: Ids,
     shares: Array,
     iterations: int,
     strengths: tuple[float, float, float, float, float, float, float],
@@ -184,9 +178,7 @@ def _length(x: float, y: float) -> float:
 
 
 @inner
-def _bound(
-    walk: Integers, length: Array, force: Array, stiff: Array, step: float, most: float
-) -> None:
+def _bound(walk: Ids, length: Array, force: Array, stiff: Array, step: float, most: float) -> None:
     """Turn forces into displacements of at most `most` and a third of the adjacent segments.
 
     The displacement is step * force / stiffness. A crossing is on the walk twice: clearing `stiff`
@@ -208,9 +200,7 @@ def _bound(
 
 
 @inner
-def _hold_back(
-    walk: Integers, move: Array, limit: Array, pairs: Integers, gaps: Array, near: int
-) -> None:
+def _hold_back(walk: Ids, move: Array, limit: Array, pairs: Ids, gaps: Array, near: int) -> None:
     """Compute the fraction of each displacement that is allowed, float64 (nodes,), in `limit`.
 
     No gap between a node and a segment may close by more than a third. The point of the segment
@@ -232,7 +222,7 @@ def _hold_back(
 
 @numba.njit(cache=True, nogil=True)
 def _stiffen(
-    at: Array, walk: Integers, length: Array, force: Array, stiff: Array, bending: float
+    at: Array, walk: Ids, length: Array, force: Array, stiff: Array, bending: float
 ) -> None:
     """Add the force of bending.
 
@@ -275,9 +265,7 @@ def _stiffen(
 
 
 @numba.njit(cache=True, nogil=True)
-def _square(
-    at: Array, walk: Integers, visits: Integers, force: Array, stiff: Array, crossing: float
-) -> None:
+def _square(at: Array, walk: Ids, visits: Ids, force: Array, stiff: Array, crossing: float) -> None:
     """Add the force that turns crossing strands perpendicular.
 
     The energy at a crossing is crossing * cos^2(angle). The direction of a strand there is the line
@@ -307,14 +295,14 @@ def _square(
 @numba.njit(cache=True, nogil=True)
 def _repel(
     at: Array,
-    walk: Integers,
+    walk: Ids,
     length: Array,
     arc: Array,
     force: Array,
     stiff: Array,
     reach: float,
     push: float,
-    pairs: Integers,
+    pairs: Ids,
     gaps: Array,
 ) -> int:
     """Add the repulsion between strands; list all pairs of a node and a segment within reach.

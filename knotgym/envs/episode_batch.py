@@ -13,15 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Threads, padded
+from knotgym.common import Array, Ids, InvalidInput, Threads, padded
 from knotgym.envs.observations import Observer
 from knotgym.envs.reward import Outcome, Situation
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope import ActionView, Array, Rope, TowBound, simulation
+from knotgym.rope import ActionView, Rope, TowBound, simulation
 from knotgym.topology import CodeArrays, GaussCode
 
-Ids = NDArray[np.int64]
 Seed = int | np.random.Generator
 Options = Mapping[str, Any] | None
 Meanwhile = Callable[[], None] | None

@@ -27,10 +27,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common import Array
 from knotgym.rope import ActionView, nearest_beads
 from knotgym.topology import GaussCode, Symmetry, find_crossings, images
 
-Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Tokens = NDArray[np.int16]
 Visits = tuple[int, ...]

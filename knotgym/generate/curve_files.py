@@ -24,8 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common import InvalidInput, one_line, require_regular
-from knotgym.rope import Array
+from knotgym.common import Array, InvalidInput, one_line, require_regular
 
 _MOST = 1_000_000  # lines or points of a file, characters of a line
 _MOST_CURVES = 20_000  # of a file

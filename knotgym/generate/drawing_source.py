@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym import topology
-from knotgym.common import Failed, InvalidInput, Stream, Table, as_json
+from knotgym.common import Array, Failed, InvalidInput, Stream, Table, as_json
 from knotgym.drawing import drawn_curve
 from knotgym.generate.generate_config import GenerateConfig
 from knotgym.generate.state_rows import Selection, judge, report_of, row_of, stacked, with_report
 from knotgym.quality import measure
-from knotgym.rope import Array, RopeConfig, Simulation, simulation_of
+from knotgym.rope import RopeConfig, Simulation, simulation_of
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import STATE_SPLITS, families
 from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, diagram_of, shows, type_of

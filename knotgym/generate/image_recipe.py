@@ -25,14 +25,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, InvalidInput, MissingExtra, Stream
+from knotgym.common import Array, Failed, InvalidInput, MissingExtra, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes, PictureRow, drawn_table, finish, parquet, shard_name
 from knotgym.envs import TaskConfig
 from knotgym.generate.generate_config import ImagesConfig
 from knotgym.quality import base_spacing, grade_of, measure
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
-from knotgym.rope import Array, RopeConfig
+from knotgym.rope import RopeConfig
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compute, identity, run
 from knotgym.states import (
     IMAGE_SPLITS,

@@ -27,11 +27,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from knotgym.common import Counts, InvalidInput, Stream, inner
+from knotgym.common import Array, Counts, InvalidInput, Stream, inner
 from knotgym.generate.curve_files import Curve, read_curves
 from knotgym.generate.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import Limits, Quality
-from knotgym.rope import Array, Rope, RopeConfig, Simulation, simulation_of
+from knotgym.rope import Rope, RopeConfig, Simulation, simulation_of
 from knotgym.states import States
 from knotgym.topology import UNKNOWN, GaussCode, knot_type, label, possible_types
 

@@ -21,13 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, Stream, Table
+from knotgym.common import Array, Failed, Ids, Stream, Table
 from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.state_rows import Selection, judge, report_of, row_of, with_report
-from knotgym.rope import Array, Rope, drawn_actions, quantized
+from knotgym.rope import Rope, drawn_actions, quantized
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import SOURCES, STATE_SPLITS
 from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
@@ -37,7 +37,6 @@ from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
 _REACH, _APART, _DRAWN = 0.06, 6, 8
 _SLOPE = 0.1  # most upward or downward part of a pull, in units of the largest force
 
-Ids = NDArray[np.int64]
 BeadsAndForces = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 _CALLS = 4  # between two looks at what is still missing

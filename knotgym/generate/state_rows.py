@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import knotgym
-from knotgym.common import Table
+from knotgym.common import Array, Table
 from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rendering import PictureConfig, draw
-from knotgym.rope import Array, RopeConfig
+from knotgym.rope import RopeConfig
 from knotgym.runs import Result
 from knotgym.states import NEAR, STATES, RopeAtRest, Spectra, States
 from knotgym.topology import UNKNOT, GaussCode, find_crossings, pyknotid_code, shows

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidPolicy
+from knotgym.common import Array, InvalidPolicy
 from knotgym.control import BatchedSearch, PassValues, Player, PullPlannerConfig, Pulls, PullSearch
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.card import PRETRAINED
@@ -23,8 +23,6 @@ from knotgym.learn.colour_reading import BEADS, SIZE
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, REACH, ShapeHypotheses, perturb_heights
 from knotgym.rope import ChainSimulation
 from knotgym.topology import GaussCode, label_many
-
-Array = NDArray[np.float64]
 
 # Force of a tow, in all three axes the largest; any direction straightens the rope equally well.
 _TOW = np.ones(3)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.common import InvalidFile, InvalidPolicy
+from knotgym.common import Array, Ids, InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, PassValues, Player, Sight
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.agent import require_readable
@@ -34,9 +34,6 @@ from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.rope import ActionView, ChainSimulation
 from knotgym.topology import GaussCode, label
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 
 _BLOCK = 32  # states that the network is given at a time: its sums depend on their number
 # Temperature after a macro-action that changed no code: the likeliest one would be chosen again.

@@ -18,10 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import inner
+from knotgym.common import Array, inner
 from knotgym.topology import CROSSING, scan
-
-Array = NDArray[np.float64]
 
 BEADS = 100
 SIZE = 128  # width and height of a picture, pixels

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from knotgym.common import Array
 from knotgym.learn.colour_reading import (
     BEADS,
     SIZE,
@@ -35,8 +36,6 @@ from knotgym.learn.colour_reading import (
     interpolated_axis,
 )
 from knotgym.rendering import PictureConfig, bead_colours
-
-Array = NDArray[np.float64]
 
 INPUTS = 19  # input channels of both networks, see `_network_inputs`
 READINGS = 8  # of one picture, with the same x and y and different heights

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.common import Stream
+from knotgym.common import Array, Stream
 from knotgym.learn.card import PICTURES
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader import PIXEL, Reader, look, waves
@@ -20,8 +20,6 @@ from knotgym.learn.training import Trained, Training
 from knotgym.learn.training_data import TrainingData
 from knotgym.rendering import draw
 from knotgym.rope import ChainSimulation
-
-Array = NDArray[np.float64]
 
 # Chosen without comparison. Readers that exist don't depend on them; one trained after a change
 # must read as docs/perception.md says.

@@ -25,15 +25,12 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common import InvalidInput, inner
+from knotgym.common import Array, Ids, InvalidInput, inner
 from knotgym.learn.card import ROPE_READER, policy_folder
 from knotgym.learn.checkpoint import load_network, save_network
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.topology import Crossings, GaussCode, find_crossings
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Chosen on training pictures, one by one. No file depends on them: after a change, ropes must be
 # read as docs/perception.md says.
@@ -131,7 +128,7 @@ def _link_cost(points: Array, i: int, j: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _link(points: Array) -> tuple[Integers, Array]:
+def _link(points: Array) -> tuple[Ids, Array]:
     """Link the ends of points, the cheapest first.
 
     Returns:
@@ -177,7 +174,7 @@ def _link(points: Array) -> tuple[Integers, Array]:
 
 
 @njit(cache=True, nogil=True)
-def _exchange(points: Array, partner: Integers, paid: Array) -> None:
+def _exchange(points: Array, partner: Ids, paid: Array) -> None:
     """Exchange the ends of two links, in place, as long as that makes them cheaper together."""
     for _ in range(_SWEEPS):
         better = False
@@ -201,7 +198,7 @@ def _exchange(points: Array, partner: Integers, paid: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _longest_line(partner: Integers) -> Integers:
+def _longest_line(partner: Ids) -> Ids:
     """Follow links from end to end; return the points of the longest line that closes, int64."""
     n = len(partner) // 2
     order, longest = np.empty(n, np.int64), np.empty(0, np.int64)

@@ -20,14 +20,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common import Array, Ids
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader import Reader
 from knotgym.rendering import draw
 from knotgym.rope import ChainSimulation
 from knotgym.topology import GaussCode, label_many
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 
 # Chosen without comparison. No file depends on these values: after a change `pretrained` must
 # score as docs/benchmark.md says.

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream
+from knotgym.common import Array, Stream
 from knotgym.control import (
     BatchedSearch,
     PassPlan,
@@ -29,7 +29,7 @@ from knotgym.datasets import Episodes
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.train_config import CloneConfig
-from knotgym.rope import Array, Pass
+from knotgym.rope import Pass
 from knotgym.runs import Result
 from knotgym.states import CODE_SPLITS
 from knotgym.topology import CodeArrays, GaussCode, label

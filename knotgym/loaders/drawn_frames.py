@@ -28,14 +28,13 @@ from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import InvalidFile, InvalidInput, Table, Threads, atomic_write, require_own
+from knotgym.common import Ids, InvalidFile, InvalidInput, Table, Threads, atomic_write, require_own
 from knotgym.datasets import EpisodeDataset, gauss_codes
 
 if TYPE_CHECKING:
     from knotgym.envs import CanonicalFrames, Observer
     from knotgym.topology import GaussCode
 
-Ids = NDArray[np.int64]
 _AT_ONCE = 256  # pictures drawn between two writes
 _BLOCK = 1024  # states gathered at once, about what a processor's cache holds
 

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Table
+from knotgym.common import Ids, InvalidInput, Table
 from knotgym.datasets import Episodes, columns_of
 from knotgym.envs import Situation, TaskConfig
-from knotgym.loaders.drawn_frames import DrawnFrames, Ids
+from knotgym.loaders.drawn_frames import DrawnFrames
 from knotgym.loaders.windows import GoalSampling, Window
 from knotgym.rope import ActionView, nearest_beads
 

@@ -15,12 +15,9 @@ No window leaves its segment. The names and meanings of goal sampling are those 
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
-from knotgym.common import InvalidInput, Seed, Share, configuration
-
-Integers = NDArray[np.int64]
+from knotgym.common import Ids, InvalidInput, Seed, Share, configuration
 
 
 @configuration
@@ -58,13 +55,8 @@ class GoalSampling:
             raise InvalidInput(f"{names} must be probabilities that sum to 1, got {chances}")
 
     def draw(
-        self,
-        states: Integers,
-        last: Integers,
-        count: int,
-        discount: float,
-        rng: np.random.Generator,
-    ) -> Integers:
+        self, states: Ids, last: Ids, count: int, discount: float, rng: np.random.Generator
+    ) -> Ids:
         """Draw the goals of n transitions.
 
         Args:

@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import KnotgymError, one_line
+from knotgym.common import Array, KnotgymError, one_line
 from knotgym.play.page_config import PageConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.scene import SCALE, RopeScene
 from knotgym.play.session import Session
 from knotgym.rendering import draw_diagram
-from knotgym.rope import Array
 
 _FRAMES = 30  # shown per second
 _LOOP = "plain loop"  # for an empty code

@@ -12,8 +12,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from knotgym.common import Array
 from knotgym.rendering import bead_colours
-from knotgym.rope import Array, RopeConfig
+from knotgym.rope import RopeConfig
 from knotgym.topology import find_crossings
 
 SCALE = 10.0  # scene units per metre

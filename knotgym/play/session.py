@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Stream
+from knotgym.common import Array, Stream
 from knotgym.control import Player, Policy, PolicyConfig, make_policy
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import Array, WaypointFollower
+from knotgym.rope import WaypointFollower
 
 _ROPE = np.zeros(1, dtype=np.int64)  # the only one of a batch
 

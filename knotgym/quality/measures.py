@@ -17,10 +17,10 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common import Stream, inner
+from knotgym.common import Array, Stream, inner
 from knotgym.quality.limits import RESET_NOISE, Quality
 from knotgym.rendering import PictureConfig, project
-from knotgym.rope import Array, Rope
+from knotgym.rope import Rope
 from knotgym.topology import Crossings, GaussCode, faces, find_crossings, label_many
 
 # Two points of the drawn rope belong to different strands if the shortest path between them along

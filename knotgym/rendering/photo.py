@@ -16,14 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream
+from knotgym.common import Array, Stream
 from knotgym.rendering.appearances import TILT, AppearanceConfig
 from knotgym.rendering.camera import DEFAULT, checked_points, require
 from knotgym.rendering.photo_look import LIMITS, WIDTHS, Photo, drawn_look
 from knotgym.rendering.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
 from knotgym.rendering.variation import Camera, Drawer, Drawn, Rng
-
-Array = NDArray[Any]
 
 _TRIES = 12  # cameras
 

@@ -9,12 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knotgym.common import Array
 from knotgym.rendering.camera import DEFAULT, RGB
 from knotgym.rendering.variation import Appearance, Rng, levels_of
-
-Array = NDArray[Any]
 
 SURFACES = ("cloth", "wood", "gradient", "noise")
 WIDTHS = (3.0, 12.0)  # of the rope, px

@@ -23,14 +23,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream
+from knotgym.common import Array, Stream
 from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConfig
 from knotgym.rendering.camera import RGB, PictureConfig, bead_colours, project
 from knotgym.rendering.diagram import draw_lines
 from knotgym.rendering.picture import draw
 from knotgym.topology import find_crossings
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 Camera = tuple[float, float]  # tilt and heading, degrees
 

@@ -19,6 +19,5 @@ from .macro_actions import Haul as Haul
 from .macro_actions import MacroAction as MacroAction
 from .macro_actions import Pass as Pass
 from .macro_actions import WaypointFollower as WaypointFollower
-from .model import Array as Array
 from .model import Rope as Rope
 from .model import RopeConfig as RopeConfig

@@ -29,9 +29,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Stream
-
-Array = NDArray[np.float64]
+from knotgym.common import Array, InvalidInput, Stream
 
 _ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
 FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 of the largest

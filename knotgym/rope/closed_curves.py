@@ -14,13 +14,12 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, inner
+from knotgym.common import Array, InvalidInput, inner
 from knotgym.topology import GaussCode, label_many, same_spot
 
 if TYPE_CHECKING:
     from knotgym.rope.model import Rope
 
-Array = NDArray[np.float64]
 
 _MOST = 20_000  # points of a curve whose pairs of chords are all looked at
 _SAME = 1e-9  # distance, relative to the size of a curve, at which two places are the same

@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Threads
+from knotgym.common import Array, InvalidInput, Threads
 from knotgym.rope.actions import checked, nearest_beads
-from knotgym.rope.model import Array, Rope, RopeConfig
+from knotgym.rope.model import Rope, RopeConfig
 
 Ids = Sequence[int] | NDArray[np.int64] | None
 

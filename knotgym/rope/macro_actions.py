@@ -20,8 +20,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common import Array
 from knotgym.rope.actions import FORCE_BINS, quantized
-from knotgym.rope.model import Array
 
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 KINDS = ("pass", "curl", "spread", "shift")

@@ -25,15 +25,13 @@ from typing import Any
 import mujoco
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
-from knotgym.common import InvalidInput, configuration, inner
+from knotgym.common import Array, InvalidInput, configuration, inner
 from knotgym.rope import closed_curves
 from knotgym.rope.closed_curves import clearance, directions, equal_chords, require_embedded
 from knotgym.topology import same_spot
-
-Array = NDArray[np.float64]
 
 # MuJoCo's solver parameters of the constraints that join the sub-chains, as published; the chain
 # engine closes the rope exactly and has none.

@@ -13,8 +13,9 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common import Array
 from knotgym.rope.interface import Ids, Simulation
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Rope
 
 # MuJoCo's own three signs of a simulation that diverged, each counted per rope.
 _BAD = mujoco.mjtWarning

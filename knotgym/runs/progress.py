@@ -16,7 +16,7 @@ from rich.progress import Progress as Bars
 from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from knotgym.common import Counts, Done
+from knotgym.common import Counts
 
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 _NONE: Mapping[str, object] = {}
@@ -126,7 +126,7 @@ class Progress:
         self._printed.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def stage(
-        self, name: str, done: Done = 0, total: int = 0, facts: Mapping[str, object] = _NONE
+        self, name: str, done: Counts.Done = 0, total: int = 0, facts: Mapping[str, object] = _NONE
     ) -> None:
         """Set the current stage and how far it is; plain lines show stages until the first count.
 

@@ -33,9 +33,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common import Array
 from knotgym.topology import find_crossings
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 # Three pixels of 5.2 mm: what neither a picture nor reset noise at its usual scale (0.015) tells

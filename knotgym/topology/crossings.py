@@ -25,12 +25,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Threads
+from knotgym.common import Array, Ids, InvalidInput, Threads
 from knotgym.topology.crossing_kernel import CROSSING, SAME, Columns, count_hits, scan, scan_rows
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
-Array = NDArray[Any]
 _FINITE = "every x, y, z must be a finite number"
 WIDTH = 32  # crossings that arrays have room for at first
 
@@ -313,7 +312,7 @@ def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return visits, table
 
 
-def _gauss_code(visits: Array, signs: Array) -> GaussCode:
+def _gauss_code(visits: Ids, signs: NDArray[Any]) -> GaussCode:
     # what the kernel found needs no check that each label comes once over and once under
     return GaussCode.trusted(tuple(visits.tolist()), GaussCode.letters_of(signs.tolist()))
 

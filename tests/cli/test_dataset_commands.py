@@ -8,7 +8,7 @@ import pytest
 from pytest_types import Capture, Patch
 from synthetic_episodes import TINY
 
-from knotgym.common import Done
+from knotgym.common import Counts
 from knotgym.datasets import merge
 from knotgym.runs import Progress
 from knotgym.states import shipped
@@ -75,7 +75,7 @@ def test_what_takes_long_with_much_data_counts_what_is_done(
     np.savetxt("curve.csv", trefoil(), delimiter=",")
     told: dict[str, list[tuple[int, int]]] = {}
 
-    def hear(_: Progress, stage: str, done: Done = 0, total: int = 0) -> None:
+    def hear(_: Progress, stage: str, done: Counts.Done = 0, total: int = 0) -> None:
         if total:
             told.setdefault(stage, []).append((done() if callable(done) else done, total))
 

@@ -16,8 +16,8 @@ from pytest_types import Capture, Patch
 from knotgym.common import Failed, InvalidFile
 from knotgym.control import dataset_faults
 from knotgym.datasets import PictureRow, decode, drawn_table, parquet, read_rows, read_table, shards
-from knotgym.generate.image_recipe import _shown, _symmetry_of, make_images
 from knotgym.generate.generate_config import ImagesConfig
+from knotgym.generate.image_recipe import _shown, _symmetry_of, make_images
 from knotgym.loaders import images as load
 from knotgym.quality import Limits, base_spacing, grade_of, measure
 from knotgym.rendering import AppearanceConfig

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from knotgym.common import Array
 from knotgym.rendering import project
 from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConfig
 from knotgym.rendering.picture import draw
 from knotgym.rendering.variation import Appearance, Drawer
-from knotgym.rope import Array, Rope
+from knotgym.rope import Rope
 from knotgym.topology import find_crossings
 
 from ..conftest import curled

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common import Array, Ids
 from knotgym.rope import (
     ActionView,
-    Array,
     ChainSimulation,
     Haul,
     MacroAction,
@@ -32,7 +32,6 @@ from knotgym.rope import (
 from knotgym.topology import GaussCode, label_many
 
 Result = TypeVar("Result")
-Ids = NDArray[np.int64]
 LONGEST = ActionView.LONGEST
 _NEVER = 1 << 30
 

@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Column, InvalidFile, Schema, Table, read_tables, write_tables
+from knotgym.common import Array, Column, InvalidFile, Schema, Table, read_tables, write_tables
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
-from knotgym.rope import Array, Pass
+from knotgym.rope import Pass
 from knotgym.topology import GaussCode, Symmetry
 
 FORMAT, VERSION = "knotgym-moves", 2

@@ -8,14 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common import Array, Ids
 from knotgym.control.basic_policies import RandomPlayer
 from knotgym.control.planning.batched_search import LONGEST, Orders, Search, Trial
 from knotgym.control.planning.passes import PassPlan
-from knotgym.control.planning.planners import SLOTS, Ids, PassPlayer
+from knotgym.control.planning.planners import SLOTS, PassPlayer
 from knotgym.control.policy_config import MIXED, PolicyConfig
 from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch
-from knotgym.rope import Array, MacroAction, Pass, WaypointFollower, quantized
+from knotgym.rope import MacroAction, Pass, WaypointFollower, quantized
 from knotgym.topology import GaussCode
 
 _PREFIXED = 0.5  # share of noisy episodes that begin with a random pass; not measured

@@ -21,11 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from knotgym.common import Array
 from knotgym.control.planning.batched_search import BatchedSearch, Report, Search
 from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight, first_goal
 from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.rope import Array, Pass, TowBound
+from knotgym.rope import Pass, TowBound
 from knotgym.states import CODE_SPLITS
 from knotgym.topology import GaussCode
 

@@ -21,19 +21,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidPolicy
+from knotgym.common import Array, Ids, InvalidPolicy
 from knotgym.control.planning.batched_search import LONGEST, BatchedSearch, Search
 from knotgym.control.planning.passes import PassPlan, PassSearch, PassValues, TriedPass
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import Array, ChainSimulation, Pass, Simulation, WaypointFollower, simulation_of
+from knotgym.rope import ChainSimulation, Pass, Simulation, WaypointFollower, simulation_of
 from knotgym.topology import GaussCode, label
 
 if TYPE_CHECKING:
     from knotgym.control.planning.pulls import PullPlan
 
-Ids = NDArray[np.int64]
 SLOTS = 12  # most slots that a search of a policy of passes takes
 # The next two are about speed, and no result depends on them. Why these, no record says; the CPU
 # time of `knotgym collect --policy expert --engine chain` would tell.

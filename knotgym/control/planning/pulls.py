@@ -27,11 +27,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common import Array
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.planning.sights import Sight, first_goal
 from knotgym.control.policy_config import PullPlannerConfig
-from knotgym.rope import Array, Haul, MacroAction, Simulation, TowBound
+from knotgym.rope import Haul, MacroAction, Simulation, TowBound
 from knotgym.topology import GaussCode, images, label
 
 # Hauls, tried on the hard unknots of notes/drawing.md: without them 0 of 64 Culprits came undone.

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from knotgym.rope import Array
+from knotgym.common import Array
 from knotgym.topology import CROSSING, GaussCode, Symmetry, faces, images, label_many, scan
 
 # The eight symmetries are numbered as `symmetry.images` numbers a code's images. The bits of a

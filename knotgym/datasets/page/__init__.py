@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Counts, InvalidFile, InvalidInput, as_json
+from knotgym.common import Array, Counts, InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import measures_of, points_of, read_table
@@ -27,7 +27,7 @@ from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
 from knotgym.quality import GRADES
 from knotgym.rendering import bead_colours
-from knotgym.rope import Array, RopeConfig
+from knotgym.rope import RopeConfig
 from knotgym.states import read_states
 from knotgym.topology import find_crossings
 

@@ -18,13 +18,9 @@ After a change run `pytest -m 'thorough or not thorough' tests/rope/chain/test_c
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from knotgym.common import inner
+from knotgym.common import Array, inner
 from knotgym.rope.chain.simd import fma, load, put
 
-Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array]  # diag, near, far, arrow
 Row = tuple[Any, Any, Any, Any]  # lanes
 Pivot = tuple[Any, ...]  # 10 lanes: a packed lower triangle with inverse pivots on its diagonal

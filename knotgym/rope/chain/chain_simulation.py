@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput
+from knotgym.common import Array, InvalidInput
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
@@ -22,7 +22,7 @@ from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
 from knotgym.rope.closed_curves import directions
 from knotgym.rope.interface import Ids, Simulation
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Rope
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
 SIDE = slice(layout.SIDE, layout.SPUN)

@@ -31,14 +31,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import inlined, inner
+from knotgym.common import Array, inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System, forward
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 from knotgym.rope.chain.vectors import along, dot, minus, norm, vector
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # pairs of edges: `start` (n + 1,) and `other`, i with each of other[start[i] : start[i + 1]]
 Pairs = tuple[Ints, Ints]

@@ -39,16 +39,13 @@ tests/rope/chain/test_chain_equations.py`: velocities must be those of the dense
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from knotgym.common import inlined, inner
+from knotgym.common import Array, inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.simd import LANES, fma, load, put
 from knotgym.rope.chain.vectors import along, cross, dot, minus, norm, put_vector, unit, vector
-
-Array = NDArray[np.float64]
 
 
 @inner

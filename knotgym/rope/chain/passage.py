@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import inner
+from knotgym.common import Array, inner
 from knotgym.rope.chain.contact import (
     DRIFT,
     LISTED,
@@ -34,8 +34,6 @@ from knotgym.rope.chain.contact import (
 )
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 from knotgym.rope.chain.vectors import dot, minus, norm, vector
-
-Array = NDArray[np.float64]
 
 # Edges not listed are LISTED - L = 34.6 mm apart when the list is made and 34.6 - 2 DRIFT = 26.6 mm
 # when a substep begins: out of reach of contact, and they can't meet if vertices move by < 13.3 mm.

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import inlined, inner
+from knotgym.common import Array, inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.contact import (
@@ -42,7 +42,6 @@ from knotgym.rope.chain.passage import judge
 from knotgym.rope.chain.simd import LANES, any_below, count_up, load, put
 from knotgym.rope.chain.vectors import along, dot, minus, put_vector, vector
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Group = tuple[Array, Array, Array, Array]  # x, v, side, spin of LANES ropes
 

@@ -10,13 +10,9 @@ must be rebuilt to the bit.
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from knotgym.common import inner
+from knotgym.common import Array, inner
 from knotgym.rope.chain.simd import fma, load, put
 
-Array = NDArray[np.float64]
 Vector = tuple[Any, Any, Any]  # lanes
 
 

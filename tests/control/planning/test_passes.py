@@ -3,13 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.common import Array
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import AT, Moves, PassTemplate
 from knotgym.control.planning.passes import ActOut, PassPlan, PassSearch, PassValues
 from knotgym.control.planning.pulls import _guide_to
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.rope import Array, Pass
+from knotgym.rope import Pass
 from knotgym.topology import GaussCode, Symmetry, images
 
 FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
