@@ -74,7 +74,7 @@ class EpisodeBatch:
             name: np.unique(np.concatenate([side.rows for side in same]))
             for name, same in zip(("start", "goal"), zip(*self._sides, strict=True), strict=True)
         }
-        self._other_goals: dict[tuple[int, str], NDArray[np.int64]] = {}
+        self._other_goals: dict[tuple[int, str], Ids] = {}
         self._clearances: dict[int, float] = {}
         # goal row -> its picture, and how its episodes look
         self._goal_images: dict[int, tuple[NDArray[np.uint8], Any]] = {}
@@ -96,7 +96,7 @@ class EpisodeBatch:
 
     # beginning
 
-    def goal_rows(self, start: int) -> NDArray[np.int64]:
+    def goal_rows(self, start: int) -> Ids:
         """Return the goal rows for an episode that starts in row `start`.
 
         Goals that show the start's code already are left out.
@@ -104,7 +104,7 @@ class EpisodeBatch:
         fitting = [goals for starts, goals in self._sides if start in starts.rows]
         return np.unique(np.concatenate([self._goals_from(start, goals) for goals in fitting]))
 
-    def _goals_from(self, start: int, goals: TaskSide) -> NDArray[np.int64]:
+    def _goals_from(self, start: int, goals: TaskSide) -> Ids:
         """Return the goals of a single task for an episode that starts in row `start`."""
         if self.starts.nx[start] != goals.nx:
             return goals.rows
@@ -415,9 +415,7 @@ class EpisodeBatch:
         points, threads = self.simulation.points[ids], self.simulation.threads
         return self._observer.pixels(points, pictures, own_looks, threads)
 
-    def _choose(
-        self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
-    ) -> int:
+    def _choose(self, row: object, rows: Ids, name: str, rng: np.random.Generator) -> int:
         # drawn even if unused, so that the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:

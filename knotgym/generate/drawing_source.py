@@ -137,7 +137,7 @@ class _Order(NamedTuple):
     first: int
     drawings: int
     wanted: int
-    kept: NDArray[np.float64]
+    kept: Array
 
 
 def drawn_rows(
@@ -161,7 +161,7 @@ def drawn_rows(
     selection = Selection(apart_from)
     # by nx and index; `made_before`: drawings until a code's last state was kept
     made, reserved, made_before = (Counter[tuple[int, int]]() for _ in range(3))
-    kept = defaultdict[tuple[int, int], list[NDArray[np.float64]]](list)
+    kept = defaultdict[tuple[int, int], list[Array]](list)
     while needed := {
         (nx, index): lacking for nx, of in codes.items() for index, lacking in of._lacking().items()
     }:
@@ -261,7 +261,7 @@ def _split(
 
 
 def _keep_duplicates_together(
-    assigned: NDArray[np.str_], points: NDArray[np.float64], codes: Sequence[GaussCode]
+    assigned: NDArray[np.str_], points: Array, codes: Sequence[GaussCode]
 ) -> NDArray[np.str_]:
     """Give near-duplicates one split, and keep the sizes of splits where that is possible.
 

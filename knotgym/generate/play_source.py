@@ -37,7 +37,7 @@ from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
 _REACH, _APART, _DRAWN = 0.06, 6, 8
 _SLOPE = 0.1  # most upward or downward part of a pull, in units of the largest force
 
-BeadsAndForces = tuple[NDArray[np.int64], NDArray[np.float32]]
+BeadsAndForces = tuple[Ids, NDArray[np.floating]]
 
 _CALLS = 4  # between two looks at what is still missing
 # A code may have this many times its even share of the states of an nx and split, and at least
@@ -170,7 +170,7 @@ class _PhasePlayer(Player):
         self._policy.actions[self._batch.number[some], steps[recorded]] = made
         return Pulls(ids, beads, forces)
 
-    def _see(self, ids: Ids, steps: NDArray[np.int64]) -> None:
+    def _see(self, ids: Ids, steps: Ids) -> None:
         since = steps - self._policy.config.first
         seen = ids[(since >= 0) & (since % self._policy.config.every == 0)]
         if not len(seen):
@@ -181,9 +181,7 @@ class _PhasePlayer(Player):
         self._policy.frames += map(_Frame, *columns, qpos, self._simulation.rope.points(qpos))
 
     def _random(self, ids: Ids) -> BeadsAndForces:
-        actions = self._drawn[ids, self._batch.steps[ids]]
-        beads, _ = self._simulation.read_actions(actions, ids)
-        return beads, actions[:, 3:]
+        return self._simulation.read_actions(self._drawn[ids, self._batch.steps[ids]], ids)
 
     def _open(self, ids: Ids) -> BeadsAndForces:
         """Pull a random bead of each rope away from the rope's middle."""

@@ -16,12 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knotgym.common import InvalidFile, atomic_write, one_line, require_regular, sha256
+from knotgym.common import Array, InvalidFile, atomic_write, one_line, require_regular, sha256
 from knotgym.learn.card import CARD, PICTURES, WEIGHTS, policy_folder, read_card, write_card
 from knotgym.learn.reader import Reader, inference
 
@@ -39,7 +38,7 @@ class Learned(NamedTuple):
     """
 
     reader: Reader
-    starts: NDArray[np.float64]
+    starts: Array
 
 
 def save_network(

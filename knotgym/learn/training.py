@@ -17,13 +17,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knotgym.common import InvalidFile, atomic_write, one_line, require_regular
+from knotgym.common import Array, InvalidFile, atomic_write, one_line, require_regular
 from knotgym.runs import Progress, checkpoint_of
 
 # chosen without comparison; learners that exist don't depend on them, their scores in
@@ -189,7 +188,7 @@ def draw_curve(
         _plot(names, rows, kept).save(part, "PNG")
 
 
-def _plot(names: tuple[str, str], rows: NDArray[np.float64], kept: int | None) -> Image.Image:
+def _plot(names: tuple[str, str], rows: Array, kept: int | None) -> Image.Image:
     """Plot two losses against steps, with axes, ticks and a legend."""
     width, height, left, right, top, bottom = 720, 420, 64, 696, 48, 368
     image = Image.new("RGB", (width, height), "white")

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Ids, InvalidInput, Table
+from knotgym.common import Array, Ids, InvalidInput, Table
 from knotgym.datasets import Episodes, columns_of
 from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames
@@ -258,7 +258,7 @@ class Transitions:
         return np.column_stack([beads, ActionView.force_choices(pulls[:, 3:])])
 
     @cached_property
-    def rewards(self) -> NDArray[np.float64]:
+    def rewards(self) -> Array:
         """float64 (N,)."""
         rewards, before, after = self._pull_rewards(), self._before, self._after
         if self._relabelled:
@@ -272,7 +272,7 @@ class Transitions:
         between = np.stack([before, after], axis=1).ravel()
         return np.add.reduceat(rewards, between)[::2] if len(between) else np.zeros(0)
 
-    def _hindsight_rewards(self) -> NDArray[np.float64]:
+    def _hindsight_rewards(self) -> Array:
         """Return the reward of the pull in each state of each segment, 0 in its last."""
         steps, lengths = self.dataset.episodes.steps, self.goal_step
         before = Episodes.ranges(self._offsets[self.episode], lengths)
@@ -289,7 +289,7 @@ class Transitions:
         found[rows] = seen.outcome(self.task).rewards
         return found
 
-    def _pull_rewards(self) -> NDArray[np.float64]:
+    def _pull_rewards(self) -> Array:
         """Return the reward of the pull in each row of steps, or in each state of all segments."""
         if self._relabelled:
             return self._hindsight_rewards()
@@ -513,7 +513,7 @@ class Sequences:
         self._offsets = episodes.offsets
         rows = np.arange(episodes.steps.rows)
         fits = rows + length <= np.repeat(episodes.offsets[1:], episodes.episodes["length"] + 1)
-        self.starts: NDArray[np.int64] = rows[fits]
+        self.starts: Ids = rows[fits]
         if not len(self.starts):
             longest = int(episodes.episodes["length"].max(initial=-1)) + 1
             lacks = f"no episode of {self.dataset.path} has {length} states"
@@ -556,15 +556,15 @@ class _Returns(NamedTuple):
 
     steps: Ids
     pulls: Ids
-    rewards: NDArray[np.float64]
-    discounts: NDArray[np.float64]
+    rewards: Array
+    discounts: Array
     terminals: NDArray[np.bool_]
     timeouts: NDArray[np.bool_]
 
 
 def _returns(
     discount: float,
-    rewards: NDArray[np.float64],
+    rewards: Array,
     terminals: NDArray[np.bool_],
     timeouts: NDArray[np.bool_],
     pulls: Ids,

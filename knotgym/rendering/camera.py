@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field, PositiveFloat
 
-from knotgym.common import InvalidInput, choice, configuration
+from knotgym.common import Array, InvalidInput, choice, configuration
 
 RGB = tuple[int, int, int]
 Level = Annotated[int, Field(ge=0, le=255)]
@@ -177,7 +177,7 @@ def bead_colours(beads: int) -> NDArray[np.uint8]:
     return colours
 
 
-def seen_from(view: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def seen_from(view: str, points: Array) -> Array:
     """Rotate points (n, 3) so that their top view is `view`; "top" returns the same array.
 
     >>> seen_from("left", np.array([[1.0, 2.0, 3.0]])).tolist()
@@ -189,7 +189,7 @@ def seen_from(view: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def project(
     points: ArrayLike, config: PictureConfig = DEFAULT, center: ArrayLike | None = None
-) -> NDArray[np.float64]:
+) -> Array:
     """Project points of the world into the top view.
 
     Args:
@@ -207,8 +207,8 @@ def project(
 
 
 def in_picture(
-    points: NDArray[np.float64], config: PictureConfig, center: ArrayLike | None = None
-) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    points: Array, config: PictureConfig, center: ArrayLike | None = None
+) -> tuple[Array, tuple[float, float]]:
     """Project ropes (..., beads, 3), metres, for `picture.paint`; see `project`.
 
     Returns:
@@ -237,7 +237,7 @@ def in_picture(
     return ropes, (at_centre * central, at_centre * config.view)
 
 
-def checked_points(points: ArrayLike, *axes: int) -> NDArray[np.float64]:
+def checked_points(points: ArrayLike, *axes: int) -> Array:
     """Return one rope (2 axes) or many (3) to draw as float64, or raise InvalidInput.
 
     They are rounded to float32, as datasets hold them, so that a rope and what was stored of it

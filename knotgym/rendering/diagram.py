@@ -34,10 +34,8 @@ from knotgym.rendering.camera import (
     project,
     seen_from,
 )
-from knotgym.rendering.picture import paint
+from knotgym.rendering.picture import Array, paint
 from knotgym.topology import Crossings, GaussCode, find_crossings, label
-
-Array = NDArray[Any]
 
 BACKGROUND = (7, 8, 12)  # RGB
 _PARTS = 4  # pieces of the smooth curve per bead

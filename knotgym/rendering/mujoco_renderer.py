@@ -26,7 +26,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, one_line
+from knotgym.common import Array, Failed, one_line
 from knotgym.rendering.camera import NEAR, PictureConfig
 
 _MARGIN = 0.5  # free space above and below the rope, metres
@@ -73,7 +73,7 @@ class _Painter:
         self._model, self._side = model, side
 
     def __call__(
-        self, points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
+        self, points: Array, colours: NDArray[np.uint8], config: PictureConfig
     ) -> NDArray[np.uint8]:
         """Paint a rope on the canvas.
 
@@ -118,9 +118,7 @@ class _Painter:
 _painters: dict[tuple[int, int, int], _Painter] = {}
 
 
-def draw(
-    points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
-) -> NDArray[np.uint8]:
+def draw(points: Array, colours: NDArray[np.uint8], config: PictureConfig) -> NDArray[np.uint8]:
     """Draw one rope; `knotgym.rendering.picture.draw` documents and checks the arguments.
 
     Raises:
@@ -150,9 +148,7 @@ def _close() -> None:
         _painters.pop(key).free()
 
 
-def _stage(
-    model: mujoco.MjModel, points: NDArray[np.float64], config: PictureConfig
-) -> mujoco.MjvScene:
+def _stage(model: mujoco.MjModel, points: Array, config: PictureConfig) -> mujoco.MjvScene:
     """Create an empty scene, lit evenly from all sides, with the camera as config says.
 
     Points (beads, 3) are relative to their mean; there is room for one geom for each.

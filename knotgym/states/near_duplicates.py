@@ -219,7 +219,7 @@ def _negated(spectra: NDArray[Any]) -> NDArray[Any]:
     return np.roll(spectra[:, ::-1], 1, axis=1)
 
 
-def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
+def spread_of(points: Array) -> dict[str, Any]:
     """Measure the spread of configurations; their order doesn't matter for up to MOST of them.
 
     Of more than MOST, only MOST evenly spaced ones are compared pairwise.
@@ -265,7 +265,7 @@ def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
     }
 
 
-def _visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> float | None:
+def _visit_distance(positions: Sequence[Array], beads: int) -> float | None:
     """Compute the mean distance, in beads, between visits of different configurations.
 
     `positions` are those of each configuration's visits along the rope, in [0, beads].
@@ -283,7 +283,7 @@ def _visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> flo
     return total / count if count else None
 
 
-def _bare_stretch(positions: NDArray[np.float64], beads: int) -> float | None:
+def _bare_stretch(positions: Array, beads: int) -> float | None:
     """Compute the length, in beads, of the longest stretch of the rope without a visit.
 
     >>> _bare_stretch(np.array([90.0, 10.0, 40.0]), 100)
@@ -296,5 +296,5 @@ def _bare_stretch(positions: NDArray[np.float64], beads: int) -> float | None:
     return float(np.diff(ordered, append=ordered[0] + beads).max())
 
 
-def _median_and_minimum(values: NDArray[np.float64]) -> list[float] | None:
+def _median_and_minimum(values: Array) -> list[float] | None:
     return [float(np.median(values)), float(values.min())] if len(values) else None

@@ -47,11 +47,11 @@ class Crossings:
         code: the Gauss code, with chirality.
     """
 
-    over_place: NDArray[np.float64]
-    under_place: NDArray[np.float64]
-    position: NDArray[np.float64]
-    over_z: NDArray[np.float64]
-    under_z: NDArray[np.float64]
+    over_place: Array
+    under_place: Array
+    position: Array
+    over_z: Array
+    under_z: Array
     sign: NDArray[np.int8]
     code: GaussCode
 
@@ -61,7 +61,7 @@ class Crossings:
         return len(self.sign)
 
     @property
-    def over_points(self) -> NDArray[np.float64]:
+    def over_points(self) -> Array:
         """Where the upper strands pass, float64 (n, 3), metres."""
         return np.column_stack([self.position, self.over_z])
 
@@ -75,7 +75,7 @@ class Crossings:
             return code.reversed().rebased(int((visits > (-start % beads or beads)).sum()))
         return code.rebased(int((visits < start % beads).sum()))
 
-    def strand_spacing(self, pixels: NDArray[np.float64], walk: float) -> float:
+    def strand_spacing(self, pixels: Array, walk: float) -> float:
         """Return the smallest distance in the picture, pixels, of vertices on different strands.
 
         Two vertices are on different strands if every path between them along the drawing,
@@ -170,10 +170,10 @@ class CodeArrays(NamedTuple):
     @classmethod
     def read(
         cls,
-        points: NDArray[np.float64],
+        points: Array,
         width: int = WIDTH,
         threads: Threads | None = None,
-        ids: NDArray[np.int64] | None = None,
+        ids: Ids | None = None,
     ) -> "CodeArrays":
         """Read the Gauss codes of many ropes.
 
@@ -235,7 +235,7 @@ def _room(crossings: int) -> int:
     return WIDTH * -(-crossings // WIDTH)
 
 
-def _scan_many(points: NDArray[np.float64], arrays: Sequence[NDArray[Any]], rows: slice) -> int:
+def _scan_many(points: Array, arrays: Sequence[NDArray[Any]], rows: slice) -> int:
     which, *codes = (array[rows] for array in arrays)
     return int(scan_rows(points[which], *codes))
 
@@ -286,7 +286,7 @@ def same_spot(points: ArrayLike) -> NDArray[np.bool_]:
     return same
 
 
-def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
+def _checked(points: ArrayLike, ndim: int) -> Array:
     rope = np.ascontiguousarray(points, dtype=np.float64)
     if not rope.flags.writeable:  # numba would compile everything again for a read-only array
         rope = rope.copy()
@@ -305,7 +305,7 @@ def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
     return rope
 
 
-def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _scan(points: ArrayLike) -> tuple[Ids, Array]:
     finite, visits, table = scan(_checked(points, 2))
     if not finite:
         raise InvalidInput(f"no closed rope: a coordinate is not finite; {_FINITE}")

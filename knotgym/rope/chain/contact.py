@@ -29,18 +29,16 @@ benchmarks/passages.py`: no strand passes another.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knotgym.common import Array, inlined, inner
+from knotgym.common import Array, Ids, inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System, forward
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 from knotgym.rope.chain.vectors import along, dot, minus, norm, vector
 
-Ints = NDArray[np.int64]
 # pairs of edges: `start` (n + 1,) and `other`, i with each of other[start[i] : start[i + 1]]
-Pairs = tuple[Ints, Ints]
+Pairs = tuple[Ids, Ids]
 
 # LISTED and DRIFT trade the length of the list against how often it is made, and change no result
 # (`python benchmarks/chain.py speed`); `passage.longest_edge` says for which edges they are wide
@@ -128,7 +126,7 @@ def find_rows(
     physics: Physics,
     motion: Array,
     rows: Array,
-    found: Ints,
+    found: Ids,
 ) -> None:
     """Find the pairs of edges that would overlap at the end of the substep.
 
@@ -187,7 +185,7 @@ def _vertex_most(v: Array, most: Array) -> None:
 
 @inner
 def _try_row(
-    x: Array, v: Array, i: int, j: int, h: Any, touch: float, spot: Array, rows: Array, found: Ints
+    x: Array, v: Array, i: int, j: int, h: Any, touch: float, spot: Array, rows: Array, found: Ids
 ) -> None:
     """Add a row for edges i and j to the lanes where they would overlap, if spot[MAY] < 0."""
     n = len(x)
@@ -224,7 +222,7 @@ def _try_row(
 @inner
 def push_apart(
     rows: Array,
-    found: Ints,
+    found: Ids,
     most: int,
     v: Array,
     step: Array,

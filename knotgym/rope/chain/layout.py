@@ -34,8 +34,7 @@ dense reference, lanes with each other, and the engine with MuJoCo.
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from knotgym.common import Array
 
 
 class Physics(NamedTuple):
@@ -64,7 +63,7 @@ class Physics(NamedTuple):
     drag_turn: float
     drag_roll: float
     stretch: float
-    damping: NDArray[np.float64]
+    damping: Array
     radius: float
     contact_stiffness: float
     contact_damping: float

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import Array, inlined, inner
+from knotgym.common import Array, Ids, inlined, inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.contact import (
@@ -42,7 +42,6 @@ from knotgym.rope.chain.passage import judge
 from knotgym.rope.chain.simd import LANES, any_below, count_up, load, put
 from knotgym.rope.chain.vectors import along, dot, minus, put_vector, vector
 
-Ints = NDArray[np.int64]
 Group = tuple[Array, Array, Array, Array]  # x, v, side, spin of LANES ropes
 
 # Chosen by `benchmarks/chain.py frontier` at f6d1acb: of its four schedules the knee. 24 equal
@@ -58,14 +57,14 @@ TICKS = 64
 def advance(
     states: Array,
     points: Array,
-    ids: Ints,
-    beads: Ints,
+    ids: Ids,
+    beads: Ids,
     forces: Array,
     physics: Physics,
     duration: float,
-    schedule: Ints,
-    counts: Ints,
-    taken: Ints,
+    schedule: Ids,
+    counts: Ids,
+    taken: Ids,
 ) -> None:
     """Move ropes through one action, in place.
 
@@ -138,7 +137,7 @@ def advance(
 
 
 @inlined
-def _next_rope(clock: Ints, lane: int, taken: Ints, ropes: int) -> int:
+def _next_rope(clock: Ids, lane: int, taken: Ids, ropes: int) -> int:
     """Return the next of so many ropes; -1 if the lane has one, or none is left."""
     if clock[layout.ROPE, lane] >= 0 or taken[0] >= ropes:
         return -1
@@ -183,7 +182,7 @@ def _substep(
     physics: Physics,
     pairs: Pairs,
     spare: tuple[Any, ...],
-    found: Ints,
+    found: Ids,
     accepted: NDArray[np.bool_],
 ) -> None:
     """Move LANES ropes from `group` to `after`; write how many contacts each has, and whether what
@@ -237,7 +236,7 @@ def _substep(
 
 
 @inlined
-def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
+def _next(clock: Ids, lane: int, accepted: bool, schedule: Ids, counts: Ids) -> bool:
     """Set a lane's next substep, after one accepted or not; return whether its action is over."""
     if accepted:
         # What is left of this entry of the schedule is taken in whole ticks, so halved substeps end
@@ -265,7 +264,7 @@ def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) 
 
 
 @inlined
-def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
+def _keep_busy(clock: Ids, group: Group, pull: Array) -> bool:
     """Let lanes without a rope do what another does, and nobody looks; return if there is one."""
     busy: Any = np.int64(-1)  # a literal would be a type of its own, and `_copy` compiled twice
     for lane in range(LANES):
