@@ -12,7 +12,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
 import reprlib
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -396,30 +396,30 @@ class Transitions:
                 raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
             sampled = self._sampled_goals(rows, window.goals, rng)
         goals = self._goals(segments) if sampled is None else self._states[sampled]
-        found = _returns(window.discount, *self._outcomes(rows, window.n_step, sampled))
+        steps, found = _returns(window.discount, *self._outcomes(rows, window.n_step, sampled))
         states = rows + segments
-        ends = (states, states + found.steps)
+        ends = (states, states + steps)
         shown = [self._states[self._stack(one, segments)] for one in ends]
         alone, observe = self._frames.alone, self._frames.observe
         seen = alone([*shown, goals]) if apart else observe(shown, goals)
         batch = {
             "observations": seen[0],
             **self.seen_actions(rows, goals),
-            "rewards": found.rewards,
+            "rewards": found.pop("rewards"),
             "next_observations": seen[1],
-            "terminals": found.terminals,
-            "timeouts": found.timeouts,
+            "terminals": found.pop("terminals"),
+            "timeouts": found.pop("timeouts"),
             **({"goals": seen[2]} if apart else {}),
         }
         if self.window is None:
             return batch
-        batch |= {"discounts": found.discounts, "pulls": found.pulls}
+        batch |= found  # discounts and pulls
         if window.chunk is not None:
             following = rows[:, None] + np.arange(window.chunk)
             kept = following < self.starts[segments + 1][:, None]
             batch["actions"], batch["action_mask"] = _masked(self.actions, following, kept), kept
         if window.history is not None:
-            for name, end in (("", rows), ("next_", rows + found.steps)):
+            for name, end in (("", rows), ("next_", rows + steps)):
                 past = end[:, None] + np.arange(-window.history, 0)
                 kept = past >= self.starts[segments][:, None]
                 batch[f"{name}history"] = _masked(self._taken, past, kept)
@@ -542,26 +542,6 @@ def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArra
     return found
 
 
-class _Returns(NamedTuple):
-    """The outcome of n windows of several steps, (n,) each.
-
-    Attributes:
-        steps: transitions to the next observation, int64.
-        pulls: pulls to the next observation, int64; more than steps in macro-actions.
-        rewards: discounted sum, float64.
-        discounts: factor of the bootstrap at the next observation, float64: 0 after a termination.
-        terminals: whether a transition of the window terminated.
-        timeouts: whether the window ended where the episode was truncated.
-    """
-
-    steps: Ids
-    pulls: Ids
-    rewards: Array
-    discounts: Array
-    terminals: NDArray[np.bool_]
-    timeouts: NDArray[np.bool_]
-
-
 def _returns(
     discount: float,
     rewards: Array,
@@ -569,13 +549,18 @@ def _returns(
     timeouts: NDArray[np.bool_],
     pulls: Ids,
     inside: NDArray[np.bool_],
-) -> _Returns:
+) -> tuple[Ids, dict[str, NDArray[Any]]]:
     """Sum n windows of m transitions up to the first that ends an episode.
 
     Args:
         discount: per pull.
         rewards, terminals, timeouts, pulls: (n, m), of each transition.
         inside: bool (n, m), whether it belongs to the segment of the first; that one does.
+
+    Returns:
+        Transitions to the next observation, int64 (n,); and columns of a batch, (n,) each. Rewards
+        are discounted sums, and there is a timeout where the window ended with the episode, which
+        was truncated.
     """
     ends = terminals | timeouts
     ended_before = np.cumsum(ends, axis=1) - ends > 0
@@ -585,14 +570,13 @@ def _returns(
     # r_i is discounted by the pulls before transition i
     factors = discount ** (elapsed - lasting).astype(np.float64)
     terminated = np.any(terminals & taken, axis=1)
-    return _Returns(
-        steps=taken.sum(axis=1),
-        pulls=elapsed[:, -1],
-        rewards=np.where(taken, rewards * factors, 0).sum(axis=1),
-        discounts=np.where(terminated, 0, discount ** elapsed[:, -1].astype(np.float64)),
-        terminals=terminated,
-        timeouts=np.any(timeouts & taken, axis=1) & ~terminated,
-    )
+    return taken.sum(axis=1), {
+        "rewards": np.where(taken, rewards * factors, 0).sum(axis=1),
+        "terminals": terminated,
+        "timeouts": np.any(timeouts & taken, axis=1) & ~terminated,
+        "discounts": np.where(terminated, 0, discount ** elapsed[:, -1].astype(np.float64)),
+        "pulls": elapsed[:, -1],
+    }
 
 
 def _other_codes(codes: Ids, own: Ids, count: int, rng: np.random.Generator) -> Ids:
