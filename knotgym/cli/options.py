@@ -134,7 +134,10 @@ def command(
                 tree = _read_settings(settings, sections)
                 for path, value in (*map(_assigned, set or ()), *typed.items()):
                     kind = known[path].kind if path in known else str
-                    tree = merged(tree, _nested({path: _read_value(value, kind, path)}))
+                    read = _read_value(value, kind, path)
+                    if read is None and path in sections:
+                        raise InvalidInput(f"{path} is a section of settings, and can't be none")
+                    tree = merged(tree, _nested({path: read}))
                 function(Given(tree, known, sections, progress, quiet), *words, **mine)
 
         common = inspect.signature(_run).parameters

@@ -178,9 +178,10 @@ class GenerateConfig:
         for code in self.parsed:
             if not shows(code, self.knot):
                 seen = topology.knot_type(code)
-                other_hand = " (handedness differs)" if seen == topology.type_of(self.knot) else ""
+                is_hand = seen == topology.type_of(self.knot)
+                advice = " (handedness differs)" if is_hand else f"; add --knot {seen}"
                 raise InvalidInput(
-                    f"the code {str(code)!r} shows the knot {seen}, not {self.knot}{other_hand}"
+                    f"the code {str(code)!r} shows the knot {seen}, not {self.knot}{advice}"
                 )
 
     @property

@@ -58,9 +58,7 @@ def with_chirality(code: GaussCode) -> GaussCode:
             GaussCode.letters_of([sign * flips[part[k]] for k, sign in enumerate(signs)]),
         )
     text = str(code) if code.chirality is None else code.chiral
-    raise InvalidInput(
-        f"no closed curve shows the code {text!r}; expected one that is_planar() accepts"
-    )
+    raise InvalidInput(f"no closed curve that is drawn in the plane shows the code {text!r}")
 
 
 def chiralities(code: GaussCode) -> tuple[str, ...]:

@@ -47,7 +47,8 @@ def here(tmp_path: Path, monkeypatch: Patch) -> dict[str, str]:
     (folder / "list.json").write_text("[1]", encoding="utf-8")
     (folder / "mood.toml").write_text("mood = 1\n", encoding="utf-8")
     (folder / "dicts").write_text('{"task": {"task": {}}}', encoding="utf-8")
-    names = ("fifo", "text", "list.json", "mood.toml", "dicts", "new", "absent")
+    (folder / "trefoil").write_text("4 6 2", encoding="utf-8")
+    names = ("fifo", "trefoil", "text", "list.json", "mood.toml", "dicts", "new", "absent")
     return {**{name: str(folder / name) for name in names}, "states": str(shipped("hard-unknots"))}
 
 
@@ -154,6 +155,7 @@ REFUSED = [
     ("collect --horizon 30", "--horizon is a setting: --set task.horizon=..."),
     ("collect --budget=3", "--budget is a setting: --set policy.expert.budget=... or"),
     ("evaluate --noise 0.2", "--noise is a setting: --set policy.noise=..."),
+    ("collect --set task=none", "task is a section of settings, and can't be none"),
     ("collect --set horizon", "--set takes name=value, such as task.horizon=30, got 'horizon'"),
     ("collect --settings {dicts}", "task.task must be text or a list, got {}"),
     ("collect --set mood=1", "has no field 'mood'; it has task, policy"),
@@ -221,6 +223,7 @@ REFUSED = [
     ("generate --nx 7", "limited to 6 crossings, got nx 7; --no-demonstrations makes states"),
     ("generate --source play --knot 3_1", "--knot needs --source drawing, not play"),
     ("generate --knot 9_50", "no knot '9_50'; there are 0_1, the prime knots"),
+    ("generate --codes {trefoil}", "shows the knot 3_1, not 0_1; add --knot 3_1"),
     ("generate --knot 3_1 --nx 2", "3_1 has at least 3 crossings, got nx 2"),
     ("dataset verify {absent}", "absent"),
     ("dataset verify {states} --sample -1", "sample must be at least 0, got -1"),
