@@ -134,10 +134,7 @@ def command(
                 tree = _read_settings(settings, sections)
                 for path, value in (*map(_assigned, set or ()), *typed.items()):
                     kind = known[path].kind if path in known else str
-                    read = _read_value(value, kind, path)
-                    if read is None and path in sections:
-                        raise InvalidInput(f"{path} is a section of settings, and can't be none")
-                    tree = merged(tree, _nested({path: read}))
+                    tree = merged(tree, _nested({path: _read_value(value, kind, path)}))
                 function(Given(tree, known, sections, progress, quiet), *words, **mine)
 
         common = inspect.signature(_run).parameters
@@ -214,7 +211,15 @@ class Given:
             own = self.settings.get(section, {})
         else:
             own = {name: one for name, one in self.settings.items() if name not in self.sections}
-        return from_json(kind, merged(merged(_nested(usual or {}), own), _nested(more or {})))
+        above = _nested(more or {})
+        # `above` would replace what isn't an object, and nobody would notice
+        held = own if isinstance(own, Mapping) else {}
+        inner = {name: held.get(name, {}) for name, one in above.items() if isinstance(one, dict)}
+        for name, one in {section: own, **inner}.items():
+            if not isinstance(one, Mapping):
+                path = next(path for path in self.known if path.startswith(f"{name}."))
+                raise InvalidInput(f"{name} is a section of settings, such as {path}=; got {one!r}")
+        return from_json(kind, merged(merged(_nested(usual or {}), own), above))
 
     @property
     def run(self) -> RunOptions:
