@@ -11,7 +11,14 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, MissingExtra, Stream, atomic_write, require_output
+from knotgym.common import (
+    InvalidInput,
+    MissingExtra,
+    Occupied,
+    Stream,
+    atomic_write,
+    require_output,
+)
 from knotgym.datasets import Statistics
 from knotgym.loaders.data_stream import DataStream, Pictured, Played
 from knotgym.loaders.transitions import Opening, Transitions
@@ -201,6 +208,8 @@ def to_tensordict(
     transitions = Transitions(dataset, **opening)
     if folder is None:
         return _tensors(tensordict, transitions, _rows(transitions), slice(None))
+    if os.path.lexists(folder):
+        raise Occupied(f"{folder} exists already; choose another folder, or load_memmap this one")
     require_output(folder, folder=True, reads=[transitions.dataset.path])
     with atomic_write(folder, overwrite=False) as part:
         _map(tensordict, transitions, part)

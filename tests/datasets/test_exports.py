@@ -165,7 +165,8 @@ def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
     head, body = card.removeprefix("---\n").split("\n---\n", 1)
     (name,) = [line for line in head.splitlines() if line.startswith("pretty_name: ")]
     assert json.loads(name.partition(": ")[2]).startswith("<img")  # one YAML string in quotes
-    assert "onerror" in body and not [one for one in MARKUP if one in body]
+    assert "onerror" in body and "\n3 states in episodes of a closed rope (" in body
+    assert not [one for one in MARKUP if one in body]
     (title,) = [one for one in citation_file(HOSTILE).splitlines() if one.startswith("title: ")]
     assert json.loads(title.partition(": ")[2]).startswith("knotgym: <img")
 

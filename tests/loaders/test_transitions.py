@@ -256,7 +256,7 @@ def test_a_tensordict_holds_all_transitions_in_memory_or_mapped(path: Path, tmp_
         np.testing.assert_array_equal(data["next", "done"].numpy()[:, 0], ends)
     mapped = to_tensordict(path, folder=tmp_path / "own")
     # another set's tensors are never written over those that somebody holds
-    with pytest.raises(Occupied, match="own exists already"):
+    with pytest.raises(Occupied, match="own exists already; choose another folder"):
         to_tensordict(path, relabel="all", folder=tmp_path / "own")
     np.testing.assert_array_equal(mapped["action"].numpy(), held["actions"])
     assert {one.name for one in tmp_path.iterdir()} == {"own", "td"}

@@ -70,8 +70,11 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
     engines = [one.task.engine for one in datasets]
     engines += [] if states is None else [states.engine]
+    # an episode of T steps has T + 1 rows, one for each state
+    words = {"steps": "states in episodes"}
     description = (
-        f"{', '.join(f'{count} {config}' for config, count in counts.items())} of a closed rope"
+        f"{', '.join(f'{n} {words.get(config, config)}' for config, n in counts.items())} of a"
+        " closed rope"
         f" (engine {' and '.join(dict.fromkeys(engines))}), labelled with Gauss codes; made by"
         f" knotgym {knotgym.__version__}."
     )
