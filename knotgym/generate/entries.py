@@ -71,7 +71,8 @@ class Entry(NamedTuple):
         for result, faults in self.recounted():
             results.append(result)
             yield from faults
-        show(results, progress.console, self.config.task.engine)
+        if not progress.quiet:
+            show(results, progress.console, self.config.task.engine)
         for number, claimed in enumerate(self.claimed, 1):
             progress.say(common.one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
 

@@ -67,14 +67,14 @@ class Progress:
         self._stage = threading.RLock()  # held while the stage is changed or read
         self._counted = False  # whether a count was printed
         self._told = self._began  # when anything was printed last
-        self._over, self._quiet, plain = threading.Event(), quiet, not quiet and not live
+        self._over, self.quiet, plain = threading.Event(), quiet, not quiet and not live
         self._lines, self._waits = plain and lines, plain and not lines
         self._printed = console or Console(file=sys.stderr)
 
     def __enter__(self) -> Progress:
         self._bars.start()
         Counts.listeners.append(self.stage)
-        if not self._quiet:
+        if not self.quiet:
             threading.Thread(target=self._repeat, daemon=True).start()
         return self
 
@@ -117,7 +117,7 @@ class Progress:
 
     def say(self, *lines: str) -> None:
         """Print permanent lines."""
-        for line in lines if not self._quiet else ():
+        for line in lines if not self.quiet else ():
             self.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _tell(self, line: str) -> None:

@@ -84,6 +84,8 @@ def test_the_command_verifies_an_entry(made: Made, capsys: Capture) -> None:
     assert knotgym("dataset", "verify", made[0]) == 0
     said = "".join(capsys.readouterr())
     assert "expert" in said and "claimed" in said and "all replayed" in said
+    assert knotgym("dataset", "verify", made[0], "--quiet") == 0
+    assert not "".join(capsys.readouterr())
 
 
 def forged(source: Path, path: Path, change: Callable[[dict[str, Any], Any, Any], Any]) -> Path:
