@@ -92,7 +92,7 @@ class _RecordedPlayer(Player):
                 raise InvalidPolicy(
                     f"{self._name or 'recorded'} has {rows.rows} episodes, but none with this start"
                     " and goal; use the task, --states, --split and --seed that it was recorded"
-                    " with, and no more --episodes"
+                    " with, and no more --episodes; evaluate draws other starts than collect"
                 )
             self._row[index] = row
             self.names[index] = self._name or str(rows["policy"][row])
