@@ -46,7 +46,7 @@ def gallery(given: Given, source: Source, /, *, out: Path | None = None) -> None
     Args:
         out: PNG to write; gallery.png in the folder by default.
     """
-    _write(given, source, out, "gallery.png", datasets.write_gallery)
+    _write(given, source, out, "gallery.png", datasets.write_sheet)
 
 
 @_command("")

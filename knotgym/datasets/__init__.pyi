@@ -19,7 +19,7 @@ from .episodes import Statistics as Statistics
 from .episodes import gauss_codes as gauss_codes
 from .exports import export as export
 from .exports import export_help as export_help
-from .gallery import write_gallery as write_gallery
+from .gallery import write_sheet as write_sheet
 from .image_table import PictureRow as PictureRow
 from .image_table import arrow as arrow
 from .image_table import decode as decode

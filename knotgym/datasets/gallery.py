@@ -3,7 +3,7 @@
 import os
 from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,9 +13,11 @@ from knotgym.common import Counts
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import decode, encode, read_table
-from knotgym.datasets.located import Located
 from knotgym.rendering import draw_diagram
 from knotgym.states import States, read_states
+
+if TYPE_CHECKING:
+    from knotgym.datasets.located import Located
 
 SHOWN, MOST_STATES = 64, 400  # at most so many episodes or pictures, and states, in a gallery
 _WHITE = (225, 225, 225)
@@ -55,8 +57,18 @@ def _contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]
     return sheet
 
 
-def write_gallery(path: Path, found: Located) -> str:
-    """Write the contact sheet of states, or else of episodes or pictures; return a summary."""
+def write_gallery(path: Path, shown: States | Sequence[Path]) -> None:
+    """Write the contact sheet of states, or of datasets of episodes, as a PNG."""
+    _write(path, _state_tiles(shown) if isinstance(shown, States) else _episode_tiles(shown))
+
+
+def _write(path: Path, tiles: Sequence[Tile]) -> None:
+    # level 9 takes five times as long, for 2 % less
+    path.write_bytes(encode(_contact_sheet(tiles), 6))
+
+
+def write_sheet(path: Path, found: "Located") -> str:
+    """Write the contact sheet of states, episodes or pictures; return a one-line summary."""
     if found.pictures:
         tiles, count = _picture_tiles(found.pictures)
         what = "pictures"
@@ -66,8 +78,7 @@ def write_gallery(path: Path, found: Located) -> str:
     else:
         tiles, what = _episode_tiles(found.episodes), "episodes, each at its end"
         count = sum(columns_of(one).episodes.episodes.rows for one in found.episodes)
-    # level 9 takes five times as long, for 2 % less
-    path.write_bytes(encode(_contact_sheet(tiles), 6))
+    _write(path, tiles)
     return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import file_stem, marks_base, measures_of, read_table, shards
-from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES
 from knotgym.rendering import APPEARANCES
 from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, nearest, read_states
 from knotgym.topology import GaussCode
+
+if TYPE_CHECKING:
+    from knotgym.datasets.located import Located
 
 _FOLDER = files("knotgym.datasets.cards")
 _TABLES = tomllib.loads((_FOLDER / "tables.toml").read_text("utf-8"))
@@ -182,7 +184,7 @@ def in_words(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def summary(found: Located) -> tuple[list[str], dict[str, CardTable]]:
+def summary(found: "Located") -> tuple[list[str], dict[str, CardTable]]:
     """Return what states or pictures are, in lines, and the tables of facts about them by name."""
     if found.pictures:
         size = sum(shard.stat().st_size for shard in shards(found.pictures))
@@ -246,7 +248,7 @@ def finish(
     """
     config = request["config"]
     if states is not None:
-        write_gallery(folder / "gallery.png", Located(folder, folder / "states.h5"))
+        write_gallery(folder / "gallery.png", states)
         write_text(folder / "README.md", _state_card(states, report, config))
         return write_manifest(folder, "knotgym-manifest", request, report)
     from knotgym.datasets.cards.croissant import write_croissant

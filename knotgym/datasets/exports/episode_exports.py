@@ -85,7 +85,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
     listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
     write_text(repository / "namespace_metadata.json", json.dumps(listed))
     write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
-    write_gallery(repository / "gallery.png", source._replace(states=None))
+    write_gallery(repository / "gallery.png", [*sources.values()])
     write_text(repository / "README.md", _card(repository.name, entries))
     return f"a Minari root with {len(sources)} datasets; upload the folder in it"
 

@@ -65,7 +65,7 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
             rows.setdefault(config, {})[split], pages[config] = count, page
     if not rows:
         raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
-    write_gallery(folder / "gallery.png", source)
+    write_gallery(folder / "gallery.png", source.episodes if states is None else states)
     cards.write_text(folder / "CITATION.cff", cards.citation_file(source.title))
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
     engines = [one.task.engine for one in datasets]
