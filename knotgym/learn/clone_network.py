@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.train_config import HEADS
 
 # Sizes: other widths and numbers of layers are in notes/experiments.md; of these no others are on
 # record.
@@ -86,7 +87,7 @@ class MarkedInputs(NamedTuple):
 class CloneNetwork(nn.Module):
     """Attention over patches of beads, and the heads for macro-actions."""
 
-    def __init__(self, width: int = 96, layers: int = 2, heads: int = 4, dropout: float = 0.0):
+    def __init__(self, width: int, layers: int):
         super().__init__()
         # names of modules are keys of stored weights, so a rename breaks checkpoints
         self.arc = nn.Embedding(_ARCS, _ARC_WIDTH)
@@ -100,7 +101,7 @@ class CloneNetwork(nn.Module):
         # learned, as the canonical frame gives bead 0 a meaning
         self.place = nn.Parameter(0.1 * torch.randn(BEADS // _PATCH, width))
         layer = nn.TransformerEncoderLayer(
-            width, heads, 3 * width, dropout, "relu", batch_first=True, norm_first=True
+            width, HEADS, 3 * width, 0.0, batch_first=True, norm_first=True
         )
         self.body = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
         self.norm = nn.LayerNorm(width)

@@ -6,6 +6,8 @@ from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Mark, Seed, configuration
 
+HEADS = 4  # of the attention of a clone
+
 
 @configuration
 class TrainConfig:
@@ -71,5 +73,7 @@ class CloneConfig(TrainConfig):
     device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:
-        if self.width % 4:
-            raise InvalidInput(f"width must be a multiple of 4 attention heads, got {self.width}")
+        if self.width % HEADS:
+            raise InvalidInput(
+                f"width must be a multiple of {HEADS} attention heads, got {self.width}"
+            )

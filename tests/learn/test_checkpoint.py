@@ -99,18 +99,16 @@ def test_a_network_that_was_changed_refuses_the_weights_of_before(
         begin(own, width, layers)
         own.more = nn.Linear(1, 1)
 
-    def with_heads(own: Any, width: int, layers: int) -> None:
-        begin(own, width, layers, heads=2)
-
     def scaled(own: Any, states: clone_network.Inputs) -> clone_network.MarkedInputs:
         beads: Tensor = states.beads * 1.5
         return forward(own, states._replace(beads=beads))
 
     if change == "another scale of inputs":
         monkeypatch.setattr(clone_network.CloneNetwork, "forward", scaled)
+    elif change == "fewer heads":
+        monkeypatch.setattr(clone_network, "HEADS", 2)
     else:
-        wanted = with_layer if change == "another layer" else with_heads
-        monkeypatch.setattr(clone_network.CloneNetwork, "__init__", wanted)
+        monkeypatch.setattr(clone_network.CloneNetwork, "__init__", with_layer)
     with pytest.raises(InvalidFile, match="another network|missing") as refused:
         load_clone(clone)
     assert str(refused.value).count("\n") == 0
