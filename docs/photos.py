@@ -16,7 +16,7 @@ import numpy as np
 
 from knotgym.common import Failed
 from knotgym.drawing import drawn_curve
-from knotgym.rendering import photograph
+from knotgym.photos import photograph
 from knotgym.states import read_states, shipped
 from knotgym.topology import Symmetry, canonical, pd_text, uniform_code
 

@@ -34,7 +34,8 @@ from knotgym.loaders import (
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering import draw, draw_diagram, photograph
+from knotgym.photos import photograph
+from knotgym.rendering import draw, draw_diagram
 from knotgym.rope import RopeConfig
 from knotgym.runs import executor
 from knotgym.topology import GaussCode, label, label_many, parse_codes

@@ -24,8 +24,8 @@ from pictures import Misread, page, shown_rows
 from strand_loss import strand_loss
 
 from knotgym.datasets import decode, read_rows
-from knotgym.learn import RopeReader, StrandNetwork, load_rope_reader
-from knotgym.rendering import photograph
+from knotgym.learn import load_rope_reader, save_rope_reader
+from knotgym.photos import StrandNetwork, photograph
 from knotgym.topology import GaussCode, Symmetry, find_crossings, images
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
@@ -106,7 +106,7 @@ def train(given: argparse.Namespace) -> None:
             step += 1
             if step % given.every == 0:
                 print(f"{time.time() - begin:6.0f} s  step {step}  loss {loss.item():.3f}")
-    RopeReader(network.cpu()).save(given.out, {"steps": step})
+    save_rope_reader(network.cpu(), given.out, {"steps": step})
 
 
 _ROPES: list[Array] = []

@@ -1,7 +1,7 @@
 """The loss by which `photos.py train` trains the network that reads photos.
 
 Lines are drawn into lifted fields: each cell has channels for directions, and a strand lights that
-of its own direction (`knotgym.learn.StrandNetwork`).
+of its own direction (`knotgym.photos.StrandNetwork`).
 """
 
 import math
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.learn import StrandNetwork
+from knotgym.photos import StrandNetwork
 
 ORIENTATIONS, CELL = 16, 2  # channels of the lifted fields; pixels of a cell
 # Values below were set by hand; no record says what others would score.

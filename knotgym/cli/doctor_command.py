@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym import datasets, drawing, generate, rendering, runs, states, topology
+from knotgym import datasets, drawing, generate, photos, rendering, runs, states, topology
 from knotgym.cli.options import Given, command
 from knotgym.common import Failed
 
@@ -79,7 +79,7 @@ def _measured() -> Iterator[tuple[str, str]]:
         held = states.read_states(made / "states.h5")
     yield "generated states", _digest(held.qpos, held.image, [*held.gauss_code_chiral])
     yield "picture", _digest(rendering.draw(known.points[-1]))
-    shot = rendering.photograph(known.points[100], 256, np.random.default_rng(0))
+    shot = photos.photograph(known.points[100], 256, np.random.default_rng(0))
     yield "photo", _digest(shot.image if shot else [])
     task = TaskConfig(task="tie", nx=2, engine=CHAIN)
     played = rollouts(make_policy(PolicyConfig(policy="expert")), task, [0, 1])

@@ -22,7 +22,8 @@ from torch import Tensor, nn
 
 from knotgym.common import Array, InvalidFile, atomic_write, one_line, require_regular, sha256
 from knotgym.learn.card import CARD, PICTURES, WEIGHTS, policy_folder, read_card, write_card
-from knotgym.learn.reader import Reader, inference
+from knotgym.learn.reader import Reader
+from knotgym.photos import inference
 
 # By which numbers of a signature, of order 1 to 20, may be off: a machine's float32 rounding moves
 # them by less than 1e-5; two attention heads for four move an untrained clone's by 0.1.

@@ -30,8 +30,8 @@ from knotgym.learn.card import CARD, CLONE, PRETRAINED, read_card
 from knotgym.learn.checkpoint import load_network, load_reader
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
-from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
+from knotgym.photos import inference
 from knotgym.rope import ActionView, ChainSimulation
 from knotgym.topology import GaussCode, label
 

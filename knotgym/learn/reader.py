@@ -14,8 +14,6 @@ After a change run what `shape_hypotheses` says; weights that ship must still lo
 """
 
 from collections import OrderedDict
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +33,7 @@ from knotgym.learn.colour_reading import (
     enforce_votes,
     interpolated_axis,
 )
+from knotgym.photos import inference
 from knotgym.rendering import PictureConfig, bead_colours
 
 INPUTS = 19  # input channels of both networks, see `_network_inputs`
@@ -107,22 +106,6 @@ class Seen(NamedTuple):
 
     picture: NDArray[np.uint8]
     pixels: Pixels
-
-
-@contextmanager
-def inference() -> Iterator[None]:
-    """Run networks without gradients and on one thread.
-
-    With more threads, the order of sums, and so their rounding, depends on the machine, and the
-    threads of several worker processes wait for each other, which is many times slower.
-    """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with torch.no_grad():
-            yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 class Reader(nn.Module):

@@ -7,11 +7,13 @@ from .camera import CameraName as CameraName
 from .camera import PictureConfig as PictureConfig
 from .camera import Views as Views
 from .camera import bead_colours as bead_colours
+from .camera import checked_points as checked_points
 from .camera import project as project
 from .diagram import Film as Film
 from .diagram import draw_diagram as draw_diagram
-from .photo import photograph as photograph
+from .diagram import smooth_curve as smooth_curve
 from .picture import draw as draw
 from .variation import Appearance as Appearance
 from .variation import Drawer as Drawer
 from .variation import Drawn as Drawn
+from .variation import levels_of as levels_of

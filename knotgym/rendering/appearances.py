@@ -70,9 +70,9 @@ APPEARANCES: dict[str, AppearanceKind] = {
     ),
     "photo": AppearanceKind(
         says="rope of one colour on a table, as a camera sees it",
-        drawer="knotgym.rendering.photo:PhotoDrawer",
+        drawer="knotgym.photos.photo:PhotoDrawer",
         tilted=True,
-        columns="knotgym.rendering:photo_columns.toml",
+        columns="knotgym.photos:photo_columns.toml",
         compression=3,  # a tenth of the time of 9, and a tenth more room
     ),
 }

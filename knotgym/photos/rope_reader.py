@@ -11,12 +11,13 @@ neighbours, and following them gives closed lines. Two strands that cross share 
 directions, so links between them are dear. Places are in cells, x right and y down; the centre of
 cell (row, column) is (column, row).
 
-After a change run `pytest tests/learn/test_rope_reader.py`: drawn lines must be
+After a change run `pytest tests/photos/test_rope_reader.py`: drawn lines must be
 walked through their crossings, fields of turned pictures be turned back, and photos be read.
 """
 
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,10 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knotgym.common import Array, Ids, InvalidInput, inner
-from knotgym.learn.card import ROPE_READER, policy_folder
-from knotgym.learn.checkpoint import load_network, save_network
-from knotgym.learn.reader import inference
-from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
+from knotgym.photos.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.topology import Crossings, GaussCode, find_crossings
 
 # Chosen on training pictures, one by one. No file depends on them: after a change, ropes must be
@@ -254,10 +252,6 @@ class RopeReader:
     def __init__(self, network: StrandNetwork) -> None:
         self.network = network.eval()
 
-    def save(self, folder: Path, card: dict[str, Any]) -> None:
-        """Write a folder that `load_rope_reader` reads; `card` adds how it was trained."""
-        save_network(folder, self.network, ROPE_READER, card)
-
     def read(self, picture: NDArray[np.uint8], views: int = VIEWS) -> RopeReading | None:
         """Read a picture of any size.
 
@@ -301,13 +295,20 @@ class RopeReader:
         return RopeReading(_crossings_of(line).code, confidence, line)
 
 
-def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
-    """Load the weights of a reader of ropes: a folder, or ROPE_READER, which ships.
+@contextmanager
+def inference() -> Iterator[None]:
+    """Run networks without gradients and on one thread.
 
-    Raises:
-        InvalidFile: as in `load_network`.
+    With more threads, the order of sums, and so their rounding, depends on the machine, and the
+    threads of several worker processes wait for each other, which is many times slower.
     """
-    return RopeReader(load_network(policy_folder(name), ROPE_READER, lambda _: StrandNetwork())[0])
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.no_grad():
+            yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _averaged(network: StrandNetwork, picture: Tensor, views: int) -> Fields:

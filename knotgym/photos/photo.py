@@ -5,7 +5,7 @@ a person can decide every crossing (`LIMITS`); `take` makes the same picture aga
 and the appearance. The camera is orthographic. From `tilted` on, points are in its axes: x right, y
 up, z towards the camera. The Gauss code, the crossings and all answers are what it sees.
 
-After a change run `PHOTOS=2000 pytest tests/rendering/test_photo.py`: no answer may differ from
+After a change run `PHOTOS=2000 pytest tests/photos/test_photo.py`: no answer may differ from
 those of an outside computation.
 """
 
@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Array, Stream
-from knotgym.rendering.appearances import TILT, AppearanceConfig
-from knotgym.rendering.camera import DEFAULT, checked_points, require
-from knotgym.rendering.photo_look import LIMITS, WIDTHS, Photo, drawn_look
-from knotgym.rendering.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
-from knotgym.rendering.variation import Camera, Drawer, Drawn, Rng
+from knotgym.common import Array, InvalidInput, Stream
+from knotgym.photos.photo_look import DEFAULT, LIMITS, WIDTHS, Photo, Rng, drawn_look
+from knotgym.photos.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
+from knotgym.rendering import AppearanceConfig, Drawer, Drawn, checked_points
 
+TILT = AppearanceConfig().tilt  # largest tilt of the camera, degrees
 _TRIES = 12  # cameras
+Camera = tuple[float, float]  # tilt and heading, degrees
 
 
 class PhotoDrawer(Drawer):
@@ -85,7 +85,8 @@ def photograph(
         InvalidInput: points are no closed rope, or the size isn't from 16 to 2048.
     """
     checked_points(points, 2)
-    require(size in range(16, 2049), "size must be from 16 to 2048 pixels", size)
+    if size not in range(16, 2049):
+        raise InvalidInput(f"size must be from 16 to 2048 pixels, got {size!r}")
     points = np.asarray(points, dtype=np.float64)
     for _ in range(_TRIES):
         # from many directions strands touch or fold, whatever the appearance; then another is tried

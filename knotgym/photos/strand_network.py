@@ -8,7 +8,7 @@ these lifted fields strands don't meet (`rope_reader`).
 Directions are angles in the picture, x right and y down. A direction without an orientation is
 written as the unit vector of twice its angle. `examples/perception/photos.py` trains it.
 
-After a change run `pytest tests/learn/test_rope_reader.py`; weights that ship must still load.
+After a change run `pytest tests/photos/test_rope_reader.py`; weights that ship must still load.
 """
 
 from typing import NamedTuple

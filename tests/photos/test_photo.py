@@ -1,6 +1,6 @@
 """Photos: the answers are what an outside computation from points and camera finds.
 
-`PHOTOS=20000 pytest -s -m 'slow or not slow' tests/rendering/test_photo.py` looks at more.
+`PHOTOS=20000 pytest -s -m 'slow or not slow' tests/photos/test_photo.py` looks at more.
 """
 
 import json
@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.rendering.photo import photograph, take
-from knotgym.rendering.photo_painting import Shot
+from knotgym.photos.photo import photograph, take
+from knotgym.photos.photo_painting import Shot
 from knotgym.states import read_states, shipped
 from knotgym.topology import pd_text
 

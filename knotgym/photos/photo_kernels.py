@@ -3,7 +3,7 @@
 Arithmetic is + - * / and sqrt alone, in float32 without fastmath, so that the same numbers give the
 same bytes on every processor. Pixel (row, column) has its centre at (column + 0.5, row + 0.5).
 
-After a change run `pytest tests/rendering/test_photo.py`: answers must be those of an outside
+After a change run `pytest tests/photos/test_photo.py`: answers must be those of an outside
 computation.
 """
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knotgym.common import InvalidFile, InvalidInput
-from knotgym.learn.rope_reader import _crossings_of, _line_in, load_rope_reader
-from knotgym.learn.strand_network import CELL, Fields
-from knotgym.rendering import photograph
+from knotgym.learn import load_rope_reader
+from knotgym.photos import photograph
+from knotgym.photos.rope_reader import _crossings_of, _line_in
+from knotgym.photos.strand_network import CELL, Fields
 from knotgym.states import States, read_states, shipped
 from knotgym.topology import GaussCode, Symmetry, find_crossings, images, label
 

@@ -4,7 +4,7 @@ The rope is painted in two layers. Cut half-way between visits, it falls into ar
 one crossing; arcs that go over are the upper layer, arcs that go under are the lower one. Arcs of a
 layer don't cross, so that the nearest piece at a pixel is all that is needed of each layer.
 
-After a change run `pytest tests/rendering/test_photo.py`: answers must be those of an outside
+After a change run `pytest tests/photos/test_photo.py`: answers must be those of an outside
 computation, at every size.
 """
 
@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Stream
-from knotgym.rendering import photo_kernels as kernels
-from knotgym.rendering.diagram import smooth_curve
-from knotgym.rendering.photo_look import LIMITS, SURFACES, Photo, drawn_dyes
-from knotgym.rendering.variation import Appearance, Drawn, Rng, levels_of
+from knotgym.photos import photo_kernels as kernels
+from knotgym.photos.photo_look import LIMITS, SURFACES, Photo, Rng, drawn_dyes
+from knotgym.rendering import Appearance, Drawn, levels_of, smooth_curve
 from knotgym.topology import Crossings, Symmetry, canonical, find_crossings
 
 Array = NDArray[Any]

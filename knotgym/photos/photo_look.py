@@ -1,6 +1,6 @@
 """What a photo looks like: rope, surface, things on it, light; drawn from a generator.
 
-After a change run `pytest tests/rendering/test_photo.py`: a photo must be taken again from its
+After a change run `pytest tests/photos/test_photo.py`: a photo must be taken again from its
 points and appearance to the byte.
 """
 
@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from knotgym.common import Array
-from knotgym.rendering.camera import DEFAULT, RGB
-from knotgym.rendering.variation import Appearance, Rng, levels_of
+from knotgym.rendering import Appearance, PictureConfig, levels_of
 
+Rng = np.random.Generator
+RGB = tuple[int, int, int]
+DEFAULT = PictureConfig()
 SURFACES = ("cloth", "wood", "gradient", "noise")
 WIDTHS = (3.0, 12.0)  # of the rope, px
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
