@@ -13,6 +13,7 @@ from .computing import Threads as Threads
 from .computing import inlined as inlined
 from .computing import inner as inner
 from .configurations import Distinct as Distinct
+from .configurations import Kinds as Kinds
 from .configurations import Mark as Mark
 from .configurations import Seed as Seed
 from .configurations import Share as Share

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import (
     Annotated,
     Any,
+    Generic,
     Literal,
     NamedTuple,
     NoReturn,
@@ -37,6 +38,7 @@ from pydantic.dataclasses import dataclass as validated_dataclass
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
 
 Config = TypeVar("Config")
+Record = TypeVar("Record")
 
 
 class Mark(NamedTuple):
@@ -132,6 +134,20 @@ class _Choice:
         if value not in words:
             raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in words)}")
         return value
+
+
+class Kinds(dict[str, Record], Generic[Record]):
+    """A closed set: name -> the record that holds everything in which one of its kinds differs.
+
+    Everybody looks up; nobody compares names. InvalidInput for a name that isn't there.
+    """
+
+    def __init__(self, what: str, records: dict[str, Record]) -> None:
+        super().__init__(records)
+        self._what = what  # the field that names them, for the error
+
+    def __missing__(self, name: object) -> Record:
+        raise InvalidInput(f"{self._what} must be one of {', '.join(self)}, got {name!r}")
 
 
 def choices(hint: Any) -> list[str]:

@@ -41,7 +41,7 @@ from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import TaskConfig
 from knotgym.quality import Limits, Quality
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
-from knotgym.rope import ENGINES, MUJOCO, Rope, RopeConfig, drawn_actions, simulation
+from knotgym.rope import ENGINES, Rope, RopeConfig, drawn_actions, simulation
 from knotgym.states import (
     IMAGE_SPLITS,
     SOURCES,
@@ -63,8 +63,6 @@ _ROUNDING = 1e-9
 # metres; tolerance for a start that is drawn again from its seed: other processors round
 # differently and the relaxation amplifies that. Replays from the stored start must be exact.
 _REDRAWN = 1e-4
-# metres; the chain engine's qpos are computed from its points, and back with rounding
-_CONVERTED = 1e-9
 _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would exhaust the memory
 _COLOURS = ("published", "single", "gradient")
 # what foreign numbers make the renderer and NumPy raise
@@ -81,7 +79,7 @@ def _state_faults(states: States) -> Iterator[str]:
         yield f"rope model {made_for} is not this version's, {RopeConfig().fingerprint}"
         return
     if states.engine not in ENGINES:
-        yield f"states.h5: no engine {states.engine!r}; there is {', '.join(ENGINES)}"
+        yield f"states.h5: engine must be one of {', '.join(ENGINES)}, got {states.engine!r}"
         return
     rope, needed = Rope(RopeConfig.of(beads)), {*_NEEDED}
     if states.by_vertices:  # they have no measures
@@ -200,8 +198,8 @@ def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
     """Yield the faults of one row; its replay ended at qpos `end`, None if it failed."""
     stored = {name: values[row] for name, values in states.table.items()}
-    rounding = 0.0 if states.engine == MUJOCO else _CONVERTED
-    if not np.abs(rope.points(stored["qpos"]) - stored["points"]).max() <= rounding:
+    off = np.abs(rope.points(stored["qpos"]) - stored["points"]).max()
+    if not off <= ENGINES[states.engine].rounding:
         yield "points are not those of qpos"
     yield from _derived_faults(stored, rope)
     if stored["split"] not in STATE_SPLITS:

@@ -13,7 +13,7 @@ import knotgym
 from knotgym.common import Distinct, InvalidInput, Mark, choice, configuration
 from knotgym.quality import RESET_NOISE
 from knotgym.rendering import APPEARANCES, AppearanceName, CameraName, PictureConfig, Views
-from knotgym.rope import MUJOCO, EngineName
+from knotgym.rope import ENGINES, MUJOCO, EngineName
 from knotgym.states import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ class TaskConfig:
             raise InvalidInput(f"nx must be from 1 to {most} on {self.beads} beads, got {self.nx}")
         if self.split in CODE_SPLITS and min(self.crossings) < 2:
             raise InvalidInput(f"with split {self.split!r} use an nx of at least 2, got {self.nx}")
-        if self.engine != MUJOCO and self.integrator_steps != 24:
+        if self.integrator_steps != 24 and not ENGINES[self.engine].has_integrator:
             raise InvalidInput(f"integrator_steps are steps of MuJoCo, not of {self.engine!r}")
         plain = self.views == ("top",) and not self.depth and self.camera == "orthographic"
         if not APPEARANCES[self.appearance].obeys and not (plain and self.renderer != "mujoco"):

@@ -22,15 +22,10 @@ from knotgym.envs import TaskConfig
 from knotgym.generate.episode_configs import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.recordings import RECORDINGS, rebuilt
 from knotgym.generate.results import reached, reference_scores
-from knotgym.rope import CHAIN, MUJOCO
+from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
 from knotgym.states import is_bundled, minari_root, read_states, resolve_states
 
-# Episodes of a block, at least and at most, so that it takes about half a minute of one core at
-# most: what a kill loses. The chain engine steps many ropes in little more time than one, MuJoCo
-# doesn't; and a policy that plans simulates 500 to 5,000 pulls an episode beside its own 50.
-_SIZES = {CHAIN: ((64, 1024), (16, 64)), MUJOCO: ((8, 64), (2, 8))}  # without planning, and with
-_PIECES = {CHAIN: 4, MUJOCO: 32}  # of a run, at least, so that workers have equal shares
 _MOST_STEPS = 2**17  # of a block, which bounds its memory
 
 
@@ -48,9 +43,10 @@ def blocks(episodes: int, task: TaskConfig, plans: bool, first: int = 0) -> list
     >>> blocks(200, TaskConfig(task="tie", engine="chain"), plans=False)
     [range(0, 50), range(50, 100), range(100, 150), range(150, 200)]
     """
-    least, most = _SIZES[task.engine][plans]
+    engine = ENGINES[task.engine]
+    least, most = engine.blocks[plans]
     most = min(most, max(1, _MOST_STEPS // (task.horizon + 1)))
-    size = min(max(-(-episodes // _PIECES[task.engine]), least), most)
+    size = min(max(-(-episodes // engine.pieces), least), most)
     count = -(-episodes // size)
     ends = [first + number * episodes // count for number in range(count + 1)]
     return [range(begin, end) for begin, end in zip(ends[:-1], ends[1:], strict=True)]

@@ -34,7 +34,7 @@ from knotgym.generate.collection import blocks
 from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.generate.recordings import DIGESTS, LENGTH, digests
 from knotgym.generate.results import Result, show
-from knotgym.rope import FORCE_BINS, MUJOCO, RopeConfig
+from knotgym.rope import ENGINES, FORCE_BINS, RopeConfig
 from knotgym.runs import Progress, executor
 from knotgym.runs import Result as Kept
 from knotgym.states import is_bundled, resolve_states
@@ -81,8 +81,7 @@ class Entry(NamedTuple):
         config, lengths, first = self.config, self.rows["length"].astype(np.int64), 0
         ends = np.concatenate([[0], np.cumsum(lengths)])
         seed_of = Stream.EVALUATION_EPISODE.derived_seed
-        # the chain engine replays an entry sooner than workers start
-        with executor(0 if config.task.engine == MUJOCO else 1) as pool:
+        with executor(ENGINES[config.task.engine].workers) as pool:
             done = Counts.from_now(pool=pool)
             Counts.tell("episodes replayed", done, self.rows.rows)
             for setup, (policy, task) in enumerate(config.setups()):

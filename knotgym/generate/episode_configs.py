@@ -17,7 +17,7 @@ from knotgym import control, datasets  # loaded on first use, as the command lin
 from knotgym.common import Distinct, InvalidInput, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
-from knotgym.rope import MUJOCO
+from knotgym.rope import ENGINES, MUJOCO
 
 # Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
 OBSERVATION = "state"
@@ -93,7 +93,7 @@ class CollectConfig:
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     """Return the id of a dataset from its task, its policy and further marks."""
     split = "" if task.split == "train" else task.split
-    engine = "" if task.engine == MUJOCO else task.engine
+    engine = "" if ENGINES[task.engine].is_reference else task.engine
     name = "-".join([policy.short, *filter(None, (engine, split, *marks))])
     return f"knotgym/{task.name}/{name}-v0"
 

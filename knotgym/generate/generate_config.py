@@ -17,7 +17,7 @@ from knotgym.drawing import DrawingConfig
 from knotgym.envs import TaskConfig
 from knotgym.quality import Limits
 from knotgym.rendering import APPEARANCES, AppearanceConfig
-from knotgym.rope import CHAIN, ENGINES, MUJOCO, EngineName
+from knotgym.rope import ENGINES, MUJOCO, EngineName
 from knotgym.states import SOURCES
 from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, diagram_of, shows
 
@@ -121,7 +121,7 @@ class GenerateConfig:
     attempts: PositiveInt = 100
     demonstration_attempts: PositiveInt = 8
     seed: Seed = 0
-    engine: Annotated[str, choice("auto", *ENGINES)] = "auto"
+    engine: Annotated[str, choice("auto", growing=ENGINES)] = "auto"
     beads: Annotated[int, Field(ge=TaskConfig.BEADS.start, le=TaskConfig.BEADS[-1])] = _BEADS
     drawing: DrawingConfig = DrawingConfig()
     play: PlayConfig = PlayConfig()
@@ -133,7 +133,7 @@ class GenerateConfig:
         known = "auto", *(name for name, source in SOURCES.items() if source.rows)
         if self.source not in known:
             raise InvalidInput(f"source must be one of {', '.join(known)}, got {self.source!r}")
-        if self.source != "auto" and SOURCES[self.source].from_ropes:
+        if self.source in SOURCES and SOURCES[self.source].from_ropes:
             self._require_ropes()
         if max(self.nx) > (most := TaskConfig.most_nx(self.beads)):
             raise InvalidInput(f"nx takes numbers of crossings from 0 to {most}, got {self.nx}")
@@ -186,16 +186,16 @@ class GenerateConfig:
 
     @property
     def engine_used(self) -> str:
-        """The engine that `engine` stands for: that of the sources, chain if one has it."""
-        if self.engine != "auto":
+        """The engine that `engine` stands for: that of the sources, the faster of several."""
+        if self.engine in ENGINES:
             return self.engine
-        engines = {SOURCES[name].engine for name, _ in self._sources}
-        return CHAIN if CHAIN in engines else MUJOCO
+        engines = (SOURCES[name].engine for name, _ in self._sources)
+        return max(engines, key=lambda name: ENGINES[name].together, default=MUJOCO)
 
     @property
     def _sources(self) -> list[tuple[str, tuple[int, ...]]]:
         """The sources that are used, and for which numbers of crossings."""
-        if self.source != "auto":
+        if self.source in SOURCES:
             return [(self.source, self.nx)]
         special = any(getattr(self, name) != value for name, value in _OF_ROPES.items())
         few = [nx for nx in self.nx if nx <= LISTED_NX and not special]
@@ -206,7 +206,7 @@ class GenerateConfig:
     @property
     def parts(self) -> list[GenerateConfig]:
         """The configuration of each source; itself, unless the source is auto."""
-        if self.source != "auto":
+        if self.source in SOURCES:
             return [self]
         engine = self.engine_used
         return [replace(self, source=name, nx=nx, engine=engine) for name, nx in self._sources]

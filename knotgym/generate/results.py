@@ -15,7 +15,7 @@ from rich.console import Console
 
 from knotgym.common import InvalidFile, InvalidInput, Share, configuration, from_json, read_json
 from knotgym.envs import TaskConfig, task_sides
-from knotgym.rope import MUJOCO
+from knotgym.rope import ENGINES, MUJOCO
 from knotgym.runs import cluster_interval, narrow_table
 
 Columns = Mapping[str, NDArray[Any]]
@@ -162,7 +162,7 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
     mixed = [one for one in results if one.start_states != one.goal_states]
     for task, nx in dict.fromkeys((one.task, one.nx) for one in mixed):
         say(f"{task} nx {nx}: the state file has no plain loops; the included ones are used.")
-    if engine != MUJOCO:
+    if not ENGINES[engine].is_reference:
         say(f"engine {engine}, not the reference engine {MUJOCO}")
     numbers = list(dict.fromkeys(one.nx for one in results))
     if len(numbers) > 1:

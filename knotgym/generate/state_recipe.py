@@ -27,7 +27,7 @@ from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.drawing_source import CALLS, drawn_rows, splits_of
 from knotgym.generate.generate_config import GenerateConfig
 from knotgym.generate.state_rows import ROWS, joined, states_of
-from knotgym.rope import CHAIN, MUJOCO
+from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, run
 from knotgym.states import SOURCES, STATE_SPLITS, States, write_states
 from knotgym.topology import UNKNOT, diagram_of, type_of
@@ -40,9 +40,6 @@ _STARTS: dict[str, Any] = {
     **{"source": "drawing", "count": 8, "every_code": 0, "codes": (), "train_share": 0.5},
     "demonstrations": False,
 }
-# Episodes of a call, about. Few, because one that is hard takes long; but the chain engine steps
-# many ropes in little more time than one.
-_TOGETHER = {MUJOCO: 3, CHAIN: 12}
 # Rollouts of the expert before the planner's turn: the first are short, and most of them have a few
 # of its 60,000 pulls for a last resort, because another start takes less time. Of the eleven nx 4
 # goals that the first two left, the third reached eight, after at most 18,129 pulls; the fourth two
@@ -203,7 +200,7 @@ def _demonstrated(
     goals = {kind: [k for k in states.rows(*kind).tolist() if k < count] for kind in kinds}
     attempt = 0
     while (left := sum(map(len, goals.values()))) and attempt < config.demonstration_attempts:
-        size = min(_TOGETHER[config.engine_used], -(-left // CALLS))
+        size = min(ENGINES[config.engine_used].together, -(-left // CALLS))
         # Patient attempts take long, so the last goals get several at once; the first that reaches
         # a goal counts, as if the others had not been made.
         after = attempt + (max(1, CALLS // left) if attempt >= _HASTY else 1)

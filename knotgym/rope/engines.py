@@ -1,21 +1,76 @@
-"""The simulation engines by name, and simulations shared within a process."""
+"""The simulation engines, one record each, and simulations shared within a process.
+
+A new engine is a `Simulation` and a record in ENGINES; commands, runs, environments and checks know
+it by that.
+"""
 
 from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from knotgym.common import InvalidInput, choice
+from knotgym.common import Kinds, choice
 
 if TYPE_CHECKING:
     from knotgym.rope.interface import Simulation
     from knotgym.rope.model import Rope, RopeConfig
 
 MUJOCO, CHAIN = "mujoco", "chain"
-ENGINES = (MUJOCO, CHAIN)  # the reference, and the fast solver of `rope.chain`
 
-EngineName = Annotated[str, choice(*ENGINES)]  # type of a configuration's field
+
+class Engine(NamedTuple):
+    """Everything in which one engine differs from the others.
+
+    Attributes:
+        simulation: "module:class" of its `Simulation`, imported when one is made.
+        is_reference: whether others are compared with it, so that ids and tables don't name it.
+        kernels: "module:function" of compiled functions, for which a first run has to wait.
+        has_integrator: whether `integrator_steps` are its own.
+        blocks: episodes of a block of a run, at least and at most: without planning, and with.
+        pieces: blocks of a run, at least, so that workers have equal shares.
+        together: drawn states and demonstrations of a call, about.
+        workers: that play recorded pulls again; 0 for one a core, 1 if it is done before workers
+            have started.
+        rounding: metres between points of its states and points computed from their qpos.
+    """
+
+    simulation: str
+    is_reference: bool = False
+    kernels: tuple[str, ...] = ()
+    has_integrator: bool = False
+    blocks: tuple[tuple[int, int], tuple[int, int]] = ((8, 64), (2, 8))
+    pieces: int = 32
+    together: int = 3
+    workers: int = 0
+    rounding: float = 0.0
+
+
+# A block takes about half a minute of one core at most: what a kill loses. The chain engine steps
+# many ropes in little more time than one, MuJoCo doesn't; and a policy that plans simulates 500 to
+# 5,000 pulls an episode beside its own 50.
+ENGINES = Kinds(
+    "engine",
+    {
+        MUJOCO: Engine(
+            "knotgym.rope.mujoco_simulation:MujocoSimulation",
+            is_reference=True,
+            has_integrator=True,
+        ),
+        CHAIN: Engine(
+            "knotgym.rope.chain.chain_simulation:ChainSimulation",
+            kernels=("knotgym.rope.chain.solver:advance",),
+            blocks=((64, 1024), (16, 64)),
+            pieces=4,
+            together=12,
+            workers=1,
+            rounding=1e-9,  # its qpos are computed from its points, and back with rounding
+        ),
+    },
+)
+
+EngineName = Annotated[str, choice(growing=ENGINES)]  # type of a configuration's field
 
 _log = logging.getLogger("knotgym")
 _warned: set[str] = set()  # engines
@@ -32,15 +87,9 @@ def simulation(
     Raises:
         InvalidInput: there is no such engine.
     """
-    if engine not in ENGINES:
-        raise InvalidInput(f"no engine {engine!r}; there is {', '.join(ENGINES)}")
-    if engine == CHAIN:
-        from knotgym.rope.chain.chain_simulation import ChainSimulation
-
-        return ChainSimulation(count, rope, threads)
-    from knotgym.rope.mujoco_simulation import MujocoSimulation
-
-    return MujocoSimulation(count, rope, threads)
+    made: Any = resolve_name(ENGINES[engine].simulation)
+    found: Simulation = made(count, rope, threads)
+    return found
 
 
 def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simulation:
@@ -63,13 +112,15 @@ def is_compiled(engine: str) -> bool:
     """Return whether numba's cache holds the kernels of an engine and of the crossing search."""
     from knotgym.topology import scan
 
-    kernels = {"crossing_kernel.scan": scan}
-    if engine == CHAIN:
-        from knotgym.rope.chain.solver import advance
-
-        kernels["solver.advance"] = advance
+    kernels: list[Any] = [scan, *map(resolve_name, ENGINES[engine].kernels)]
     return all(
-        any(Path(kernel.stats.cache_path).glob(f"{name}-*.nbi")) for name, kernel in kernels.items()
+        # a cache's files are named by module and function
+        any(
+            Path(one.stats.cache_path).glob(
+                f"{one.__module__.rpartition('.')[2]}.{one.__name__}-*.nbi"
+            )
+        )
+        for one in kernels
     )
 
 

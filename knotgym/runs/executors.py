@@ -249,7 +249,7 @@ def compile_first(
     `plan`, a function of a module, uses; otherwise each of its workers would compile them. States
     are drawn before anything is planned, so `plan` may still be under way on return.
     """
-    engines = [CHAIN, engine] if plan is not None and engine != CHAIN else [engine]
+    engines = [engine] if plan is None else [*dict.fromkeys([CHAIN, engine])]
     if not all(map(is_compiled, engines)):
         progress.stage("compiling, only on the first run")
         pool = pool or InProcess()

@@ -15,7 +15,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
-from knotgym.common import InvalidFile, InvalidInput, MissingFile, Stream, require_no_links
+from knotgym.common import InvalidFile, Kinds, MissingFile, Stream, require_no_links
 from knotgym.rope import CHAIN, MUJOCO, EngineName
 from knotgym.topology import GaussCode, Symmetry, canonical
 
@@ -67,14 +67,8 @@ _PLAYED = "knotgym.generate.play_source:"
 _DRAWN = "knotgym.generate.drawing_source:"
 
 
-class _Sources(dict[str, Source]):
-    """Value of `source/policy` -> record; InvalidInput for any other."""
-
-    def __missing__(self, name: str) -> Source:
-        raise InvalidInput(f"source must be one of {', '.join(self)}, got {name!r}")
-
-
-SOURCES = _Sources(
+SOURCES = Kinds(  # by the value of `source/policy`
+    "source",
     {
         "drawing": Source(
             "drawn from its code. The drawing is made again from the row's seed, laid in the"
@@ -109,7 +103,7 @@ SOURCES = _Sources(
         ),
         "bench-play": Source("met in play, laid from its vertices."),
         "bench-drawing": Source("drawn from its code, laid from its vertices."),
-    }
+    },
 )
 
 
