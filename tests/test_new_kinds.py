@@ -15,8 +15,7 @@ from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import CollectConfig, collect
-from knotgym.rope import CHAIN, ChainSimulation, simulation
-from knotgym.rope.engines import ENGINES
+from knotgym.rope import CHAIN, ENGINES, ChainSimulation, simulation
 from knotgym.runs import RunOptions
 
 ALONE = RunOptions(workers=1, quiet=True)
