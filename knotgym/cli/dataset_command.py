@@ -31,9 +31,9 @@ def show(given: Given, source: Source, /) -> None:
     Prints crossings, codes, chirality, splits, quality and rejections. For transcripts of `knotgym
     prompt` (a .jsonl file or its folder): success rate, answers, retries and tokens.
     """
-    from knotgym.cli.inspection import show as look
+    from knotgym.cli.inspection import print_summary
 
-    look(source, given.progress.console)
+    print_summary(source, given.progress.console)
 
 
 @_command("run.overwrite")

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from knotgym.cli.program import shown
 from knotgym.common import Failed, InvalidInput, atomic_write, require_output
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import in_words, locate, open_episodes, show_episodes, summary, try_files
 from knotgym.generate import film as film_of
 from knotgym.generate import read_entry
-from knotgym.prompting import show_transcripts
 from knotgym.rendering import Film
 from knotgym.rope import RopeConfig, simulation_of
 from knotgym.runs import Progress, executor, narrow_table
@@ -29,10 +29,10 @@ _FACTS = TextWrapper(
 )
 
 
-def show(named: str, console: Console) -> None:
-    """Print a summary of a dataset or of transcripts."""
-    if transcripts := show_transcripts(named):
-        facts, rows = transcripts
+def print_summary(named: str, console: Console) -> None:
+    """Print a summary of a dataset, or of a folder that a package with commands shows."""
+    if kept := shown(named):
+        facts, rows = kept
         _print_facts(facts, console)
         if rows:
             _print_table(rows, rows[0][:1], None, console)

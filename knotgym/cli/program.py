@@ -1,4 +1,17 @@
-"""The entry points of the command line; a user's mistake prints one line, with exit status 2."""
+"""The table of commands, and the entry points of the command line.
+
+An entry point of the group `knotgym.commands` names a package, such as `knotgym.learn`, whose
+`commands.toml` has a table for each of its commands:
+
+    [commands.train]
+    summary = "Train a policy."      # a line of `knotgym --help`
+    module = "train_command"         # of the package, where the function `train` is; the default
+    resumes = true                   # whether it takes --resume after an interruption
+
+The file is read without importing the package; a command's module is imported when it is typed.
+
+A user's mistake prints one line, with exit status 2.
+"""
 
 import errno
 import functools
@@ -9,23 +22,24 @@ import tomllib
 import traceback
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
-from importlib.resources import files
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from pkgutil import resolve_name
 from types import FrameType
+from typing import Any, NamedTuple
 
 from cyclopts import App, CycloptsError, UnknownOptionError, UnusedCliTokensError
 
 from knotgym import __version__
-from knotgym.common import Failed, KnotgymError, one_line
+from knotgym.common import Failed, InvalidInput, KnotgymError, one_line
 
-# A command's module is imported when the command is typed; so summaries are here, too.
-_TEXTS = tomllib.loads((files("knotgym.cli") / "commands.toml").read_text("utf-8"))
-COMMANDS: dict[str, str] = _TEXTS["commands"]
-
-_BESIDE = {"suite": "collect", "compare": "evaluate"}  # commands in the module of another
+GROUP = "knotgym.commands"
+_FILE, _OWN = "commands.toml", "knotgym.cli"
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_RESUMABLE = {"generate", "collect", "suite", "train", "evaluate", "images", "prompt"}
 _KEPT = (
     "finished work, if any, is kept in the hidden folder .NAME.partial beside the output NAME: run"
     " the same command with --resume to go on, or with --restart to delete it and begin again"
@@ -36,24 +50,79 @@ _OURS = (
 )
 
 
+class Command(NamedTuple):
+    """A command: its line of help, where its function is, and whether --resume continues it."""
+
+    summary: str
+    target: str
+    resumes: bool = False
+
+
+@cache
+def command_texts(package: str = _OWN) -> dict[str, Any]:
+    """Return a package's commands.toml."""
+    spec = find_spec(package)  # which imports only what the package is in
+    if spec is None or not spec.submodule_search_locations:
+        raise ImportError(f"no package {package}")
+    path = Path(spec.submodule_search_locations[0], _FILE)
+    return tomllib.loads(path.read_text("utf-8"))
+
+
+@cache
+def packages() -> tuple[str, ...]:
+    """Return the packages that bring commands, this room first.
+
+    Raises:
+        InvalidInput: one that an entry point names can't be found or has no readable table.
+    """
+    found = [_OWN]
+    for one in sorted(entry_points(group=GROUP), key=lambda one: one.value):
+        said = f"the commands of entry point {one.name} = {one.value} can't be loaded"
+        with InvalidInput.instead(said, ImportError, OSError, ValueError):
+            command_texts(one.value)
+        found.append(one.value)
+    return tuple(dict.fromkeys(found))
+
+
+@cache
+def commands() -> dict[str, Command]:
+    """Return the commands by name.
+
+    Raises:
+        InvalidInput: two packages bring a command of one name.
+    """
+    table: dict[str, Command] = {}
+    for package in packages():
+        for name, row in command_texts(package).get("commands", {}).items():
+            if name in table:
+                raise InvalidInput(f"{package} brings a command {name!r}, which there is already")
+            module = f"{package}.{row.get('module', f'{name}_command')}"
+            table[name] = Command(row["summary"], f"{module}:{name}", row.get("resumes", False))
+    return table
+
+
+def shown(named: str) -> Any:
+    """Return what a package shows of a folder that only it knows: facts and rows, or None."""
+    for package in packages():
+        if function := command_texts(package).get("shows"):
+            if found := resolve_name(f"{package}.{function}")(named):
+                return found
+    return None
+
+
 def application() -> App:
     """Make the application `knotgym`."""
     app = App(
         name="knotgym",
-        help=_TEXTS["help"],
-        help_epilogue=_TEXTS["epilogue"],
+        help=command_texts()["help"],
+        help_epilogue=command_texts()["epilogue"],
         help_format="plaintext",
         suppress_keyboard_interrupt=False,
         version=f"knotgym {__version__}",
     )
-    for name, summary in COMMANDS.items():
-        app.command(f"{_module_of(name)}:{name}", name=name, help=summary)
+    for name, one in commands().items():
+        app.command(one.target, name=name, help=one.summary)
     return app
-
-
-def _module_of(command: str) -> str:
-    """Return the module of a command."""
-    return f"knotgym.cli.{_BESIDE.get(command, command)}_command"
 
 
 def main_generate() -> None:
@@ -64,12 +133,13 @@ def main_generate() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym` and exit, with status 0 only if everything requested was done."""
     tokens = sys.argv[1:] if arguments is None else [*arguments]
-    resumable = bool(_RESUMABLE & {*tokens[:1]})
-    goes_on = f"; {_KEPT}" if resumable else ""
-    stopped = f"interrupted before all output was written{goes_on}"
-    for number in _SIGNALS:
-        signal.signal(number, functools.partial(_interrupt, stopped))
+    goes_on = stopped = ""
     try:
+        typed = commands().get(tokens[0]) if tokens else None
+        goes_on = f"; {_KEPT}" if typed and typed.resumes else ""
+        stopped = f"interrupted before all output was written{goes_on}"
+        for number in _SIGNALS:
+            signal.signal(number, functools.partial(_interrupt, stopped))
         status = application()(
             tokens, print_error=False, exit_on_error=False, result_action="return_value"
         )

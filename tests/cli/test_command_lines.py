@@ -5,16 +5,18 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
+from pkgutil import resolve_name
+from shutil import copytree, rmtree
 from typing import Any, get_type_hints
 
 import pytest
 from pytest_types import Capture, Patch
 
+import knotgym as knotgym_package
+from knotgym.cli import application, commands
 from knotgym.cli.options import numbers, run_folder
-from knotgym.cli.program import COMMANDS, _module_of, application
 from knotgym.common import InvalidInput, choices
 from knotgym.states import shipped
 
@@ -85,9 +87,8 @@ def test_every_option_says_what_it_is() -> None:
 
 
 def test_a_summary_in_the_list_is_the_first_line_of_the_commands_own_help() -> None:
-    for name, summary in COMMANDS.items():
-        command = getattr(import_module(_module_of(name)), name)
-        assert " ".join(command.help.split()) == summary
+    for one in commands().values():
+        assert " ".join(resolve_name(one.target).help.split()) == one.summary
 
 
 def test_help_fits_80_columns_and_breaks_no_line_early(capfd: Capture, monkeypatch: Patch) -> None:
@@ -276,9 +277,9 @@ def test_help_and_version_are_shown_with_status_0(words: str, capfd: Capture) ->
     assert capfd.readouterr().out.startswith(("Usage: knotgym", "knotgym "))
 
 
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "dataset"])
+@pytest.mark.parametrize("command", [name for name in commands() if name != "dataset"])
 def test_help_names_every_choice(command: str, capsys: Capture) -> None:
-    run = getattr(import_module(_module_of(command)), command).default_command
+    run = resolve_name(commands()[command].target).default_command
     application()([command, "--help"], result_action="return_value")
     shown = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
     for section, kind in run.sections.items():
@@ -292,14 +293,40 @@ def test_help_names_every_choice(command: str, capsys: Capture) -> None:
 def test_no_help_imports_the_simulator() -> None:
     code = """
 import sys
-from knotgym.cli.program import COMMANDS, application
-for words in ([], *([name] for name in COMMANDS), ["dataset", "page"]):
+from knotgym.cli import application, commands
+for words in ([], *([name] for name in commands()), ["dataset", "page"]):
     application()([*words, "--help"], result_action="return_value")
 print(*sys.modules, file=sys.stderr)
 """
     modules = set(python("-c", code, check=True).stderr.split())
     heavy = {"cv2", "dask", "h5py", "minari", "mujoco", "numba", "pyarrow", "torch"}
-    assert "knotgym.cli.prompt_command" in modules and modules & heavy == set()
+    assert "knotgym.prompting.prompt_command" in modules and modules & heavy == set()
+
+
+def test_commands_come_from_packages_and_the_core_runs_without_its_guests(tmp_path: Path) -> None:
+    copied = copytree(Path(knotgym_package.__file__).parent, tmp_path / "knotgym")
+    for guest in ("learn", "prompting", "play"):
+        rmtree(copied / guest)
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "__init__.py").touch()
+    (mine / "commands.toml").write_text('[commands.hello]\nsummary = "Greet."\n')
+    (mine / "hello_command.py").write_text(
+        'from knotgym.cli import Given, command\n\n\n@command({}, "")\n'
+        "def hello(given: Given, *, name: str) -> None:\n"
+        '    """Greet.\n\n    Args:\n        name: Who.\n    """\n    print("hello", name)\n'
+    )
+    described = tmp_path / "mine-1.dist-info"
+    described.mkdir()
+    (described / "METADATA").write_text("Name: mine\nVersion: 1\n")
+    (described / "entry_points.txt").write_text("[knotgym.commands]\nmine = mine\n")
+    job = "from knotgym.cli import main\nmain({!r}.split())"
+    for words, shown in (
+        ("hello --name you", "hello you"),
+        ("evaluate --task tie --nx 2 --policy random --episodes 2 --workers 0", "random"),
+    ):
+        code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n{job.format(words)}"
+        assert shown in python("-c", code, check=True).stdout
 
 
 @pytest.mark.parametrize(

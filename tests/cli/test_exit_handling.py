@@ -45,7 +45,7 @@ def test_an_end_is_one_line(
     def ended(*_: Any) -> None:
         raise error
 
-    monkeypatch.setattr("knotgym.cli.inspection.show", ended)
+    monkeypatch.setattr("knotgym.cli.inspection.print_summary", ended)
     assert knotgym("dataset", "show", "x") == status
     said = capfd.readouterr().err
     assert said.startswith(f"knotgym: {line}") and said.count("\n") == 1
@@ -63,7 +63,7 @@ def test_learners_without_torch_name_the_extra(
 
 
 def test_a_fault_of_ours_is_not_called_a_user_s_mistake(monkeypatch: Patch, capfd: Capture) -> None:
-    monkeypatch.setattr("knotgym.cli.inspection.show", lambda *_: 1 / 0)
+    monkeypatch.setattr("knotgym.cli.inspection.print_summary", lambda *_: 1 / 0)
     assert knotgym("dataset", "show", "x") == 1
     said = capfd.readouterr().err
     assert said.startswith("Traceback") and "ZeroDivisionError" in said

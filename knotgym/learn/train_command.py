@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from knotgym.cli.options import EXISTING, Given, command
+from knotgym.cli import EXISTING, Given, command
 from knotgym.common import InvalidInput, MissingExtra
-from knotgym.learn import CloneConfig, ReaderConfig
+from knotgym.learn.train_config import CloneConfig, ReaderConfig
 
 
 @command({"": ReaderConfig, "clone": CloneConfig}, f"steps seed run.workers {EXISTING}")
@@ -38,7 +38,7 @@ def train(
         config = given.config(ReaderConfig)
     for library in ("torch", "safetensors"):
         MissingExtra.imported(library, "learn", "knotgym train")
-    from knotgym.learn import train as train_learner
+    from knotgym.learn.train_recipe import train as train_learner
 
     train_learner(data or [], out, config, given.run, given.progress)
     given.progress.say(f"next: knotgym evaluate --policy {out} --split train,test")

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from knotgym import datasets, prompting
-from knotgym.cli.options import EXISTING, Given, command, run_folder
+from knotgym import datasets
+from knotgym.cli import EXISTING, Given, command, run_folder
 from knotgym.common import InvalidFile, InvalidInput, atomic_write, require_output
-from knotgym.prompting import PromptConfig
+from knotgym.prompting.prompts import PromptConfig
 
 
 @command(
@@ -62,11 +62,13 @@ def prompt(
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
     folder = run_folder(out, f"prompt-{config.mode}-{subject}-{model}")
 
-    prompting.run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
-    if not given.quiet:
-        from knotgym.cli.inspection import show as look
+    from knotgym.prompting.prompt_run import run_prompts
 
-        look(str(folder), given.progress.console)
+    run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
+    if not given.quiet:
+        from knotgym.cli import print_summary
+
+        print_summary(str(folder), given.progress.console)
 
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
@@ -81,8 +83,9 @@ def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
 
 def _show(given: Given, config: PromptConfig, rows: list[dict[str, Any]], out: Path | None) -> None:
     """Print the first request of a run; write its pictures to the folder `out`, if given."""
+    from knotgym.prompting.prompt_run import sample_prompt
 
-    text, shown = prompting.sample_prompt(config, rows)
+    text, shown = sample_prompt(config, rows)
     pictures = {} if out is None else {out / f"{name}.png": png for name, png in shown.items()}
     for path in pictures:
         require_output(path, folder=False, overwrite=given.run.overwrite, reads=[])

@@ -4,11 +4,10 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from knotgym import play as served
 from knotgym import runs
-from knotgym.cli.options import Given, command
+from knotgym.cli import Given, command
 from knotgym.common import MissingExtra
-from knotgym.play import PageConfig
+from knotgym.play.page_config import PageConfig
 
 
 @command({"": PageConfig}, "task.task task.nx policy.policy port")
@@ -30,12 +29,14 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
     """
     config, progress = given.config(PageConfig), given.progress
     MissingExtra.imported("viser", "play", "knotgym play")
+    from knotgym.play.page import serve  # needs viser
+
     runs.compile_first(progress, engine=config.task.engine)
     task, dataset = config.task, ""
     if record:
         mark = "" if task.split == "train" else f"-{task.split}"
         dataset = id or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
-    with served.serve(config, progress.say, dataset, out), suppress(KeyboardInterrupt):
+    with serve(config, progress.say, dataset, out), suppress(KeyboardInterrupt):
         progress.end()  # what is left isn't progress, of which it would tell for ever
         while True:
             time.sleep(3600)
