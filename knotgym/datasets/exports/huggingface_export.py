@@ -152,7 +152,7 @@ def _step_tables(dataset: EpisodeDataset, schema: Schema, pictures: bool) -> Ite
 
     Args:
         dataset: columns.
-        schema: of the file; optional columns that the dataset lacks hold `Column.unknown`.
+        schema: of the file; optional columns that the dataset lacks hold their value for unknown.
         pictures: whether it has them.
     """
     rows, offsets = dataset.episodes.episodes.rows, dataset.episodes.offsets
