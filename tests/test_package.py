@@ -74,12 +74,20 @@ def test_the_main_job_imports_only_what_it_uses(tmp_path: Path) -> None:
     assert len(ours) <= 100, ours
 
 
-def test_every_marker_of_the_tests_runs_in_ci() -> None:
-    markers = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
-    steps = (ROOT / ".ci/run").read_text()
-    for marker in markers["markers"]:
+def test_every_marker_and_every_step_runs_in_ci() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    steps, run, every = ((ROOT / ".ci" / name).read_text() for name in ("steps", "run", "all"))
+    bodies = dict(re.findall(r"^(\w+)\(\) \{(.*?)^\}", steps, re.M | re.S))
+    landing, nightly = (
+        {step for lane in re.findall(r"^lane \w+ (.*)", text, re.M) for step in lane.split()}
+        for text in (run, every)
+    )
+    assert landing - {"$(touched_clients)"} < nightly
+    assert nightly == {name for name, body in bodies.items() if "    within " in body}
+    for marker in options["markers"]:
         name = marker.partition(":")[0]
-        assert re.search(rf"^[^#\n]*pytest\S* .*-m {name}\b", steps, re.M), name
+        runs = re.compile(rf"^[^#\n]*pytest\S* .*-m {name}\b", re.M)
+        assert any(runs.search(bodies[step]) for step in nightly), name
 
 
 @pytest.mark.parametrize("error", ERRORS)
