@@ -22,7 +22,7 @@ from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.states import NEAR, States, distances, pairs_within, repeated
+from knotgym.states import NEAR, distances, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
 Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.replay`
@@ -235,7 +235,7 @@ def _split_faults(dataset: EpisodeDataset) -> list[str]:
     except KnotgymError as error:
         skipped = isinstance(error, MissingFile) and dataset.metadata is None
         return [] if skipped else [f"{dataset.path}: its split can't be checked: {error}"]
-    own, task, rope = dataset.episodes.episodes, dataset.task, batch.simulation.rope
+    own, task = dataset.episodes.episodes, dataset.task
     faults: list[str] = []
     for name, states in (("start", batch.starts), ("goal", batch.goals)):
         allowed = set(batch.rows[name].tolist())
@@ -245,7 +245,7 @@ def _split_faults(dataset: EpisodeDataset) -> list[str]:
             elif named not in allowed:
                 fault = f"its {name} is row {named}, none of those of the {task.split} split"
             elif name == "start":
-                fault = _start_fault(rope.points(own["start_qpos"][row]), named, states, dataset)
+                fault = _start_fault(batch, own["start_qpos"][row], own["seed"][row], named)
             elif "goal_points" in own and not np.array_equal(
                 own["goal_points"][row], states.points[named].astype(np.float32)
             ):
@@ -298,17 +298,26 @@ def _duplicate_faults(dataset: EpisodeDataset) -> list[str]:
     ]
 
 
-def _start_fault(points: Array, named: int, states: States, dataset: EpisodeDataset) -> str:
-    """Say which state of another split a start is, "" if it is none."""
+def _start_fault(batch: EpisodeBatch, qpos: Array, seed: int, named: int) -> str:
+    """Say why a start isn't that of the row `named`, "" if it may be.
+
+    Only strong noise leads far from that row. Then the start is near no state of another split, and
+    it is the one that the episode's seed draws, unless the seed isn't known or drew a task first.
+    """
+    points, states, split = batch.simulation.rope.points(qpos), batch.starts, batch.task.split
     if distances(points, states.points[named][None])[0] < _MATCH:
         return ""
-    split = dataset.task.split
     mine = np.concatenate([states.rows(nx, split) for nx in set(states.nx.tolist())])
     apart = distances(points, states.points)
     apart[mine] = np.inf
     row = int(apart.argmin())
-    near = apart[row] < _MATCH
-    return f"its start is row {row}, which isn't of the {split} split" if near else ""
+    if apart[row] < _MATCH:
+        return f"its start is row {row}, which isn't of the {split} split"
+    if seed < 0 or len(batch.task.singles) > 1:
+        return ""
+    drawn = batch.drawn([int(seed)])
+    same = drawn["start"][0] == named and np.abs(drawn["start_qpos"][0] - qpos).max() < _ROUNDING
+    return "" if same else f"its start isn't row {named} of the states, as the column start says"
 
 
 def _start_faults(dataset: EpisodeDataset) -> Iterator[str]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidFile, InvalidInput, as_json, differences, sha256
+from knotgym.common import InvalidFile, InvalidInput, as_json, differences
 from knotgym.control import PolicyConfig, compile_planning, make_policy
 from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
@@ -24,7 +24,7 @@ from knotgym.generate.recordings import RECORDINGS, rebuilt
 from knotgym.generate.results import reached, reference_scores
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
-from knotgym.states import is_bundled, minari_root, read_states, resolve_states
+from knotgym.states import is_bundled, minari_root, read_states, resolve_states, states_mark
 
 _MOST_STEPS = 2**17  # of a block, which bounds its memory
 
@@ -64,10 +64,6 @@ def _distinct_id(config: CollectConfig) -> str:
     'knotgym/tie-nx2/expert-pixels-v0'
     """
     task, policy = config.task, config.policy
-    states = "" if task.states in (None, "readable") else str(task.states)
-    if not is_bundled(task.states):
-        file = resolve_states(task.states)
-        states = f"states{sha256(file)[:8]}" if file.is_file() else ""
     marked = ("task", "nx", "split", "states", "engine", "observation")
     own = as_json(task)
     plain = {**as_json(TaskConfig(task="tie")), **{name: own[name] for name in marked}}
@@ -77,7 +73,7 @@ def _distinct_id(config: CollectConfig) -> str:
         rules += differences(as_json(usual), as_json(policy))
     digest = hashlib.sha256("; ".join(rules).encode()).hexdigest()[:8]
     marks = {
-        states: True,
+        states_mark(task.states): True,
         task.observation: task.observation != OBSERVATION,
         f"seed{config.seed}": config.seed != 0,
         "successes": not config.keep_failed,

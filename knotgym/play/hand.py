@@ -8,7 +8,6 @@ nothing that a browser sends is used as a path, a name to import, or a size.
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from importlib.resources import files
 from typing import Any
@@ -26,6 +25,7 @@ _FRAMES = 30  # shown per second
 _LOOP = "plain loop"  # for an empty code
 _LIFT = 0.03  # metres above or below the rope's middle height at which a drag leads a bead
 _FARTHEST = 100.0  # scene units from the origin at which a drag is read
+_PATIENCE = 10.0  # seconds in which a closed tab must have stored its episode
 _KEYS = (files("knotgym.play") / "keys.md").read_text("utf-8")
 
 
@@ -41,6 +41,7 @@ class HandTab:
     def __init__(self, client: Any, config: PageConfig, recorder: Recorder | None = None) -> None:
         self._config, self._recorder = config, recorder
         self.wish: Callable[[], None] | None = None
+        self._failure = ""
         self._drag: tuple[int, Array] | None = None  # bead, and where to, metres
         self._selected = 0
         self._kept: set[int] = set()  # episodes that are recorded
@@ -55,10 +56,13 @@ class HandTab:
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def close(self) -> None:
-        """Stop acting."""
+    def close(self) -> str:
+        """Stop acting; say why the episode couldn't be recorded, "" if it was."""
         self._closed.set()
-        self._thread.join(timeout=10)
+        self._thread.join(_PATIENCE)
+        if self._thread.is_alive():
+            return f"episode {self.session.number} wasn't stored within {_PATIENCE:.0f} s"
+        return self._failure
 
     # what the panel offers ---------------------------------------------------------------
 
@@ -122,8 +126,13 @@ class HandTab:
                 self._client.add_notification("knotgym", one_line(error), auto_close_seconds=10)
                 self._auto.value = False
             self._closed.wait(max(0.0, 1 / _FRAMES - (time.monotonic() - began)))
-        with suppress(KnotgymError, OSError):  # what was noted is stored by the next session
+        try:
             self._keep()
+        except (KnotgymError, OSError) as error:
+            self._failure = (
+                f"episode {self.session.number} isn't stored ({one_line(error)}); the pulls that"
+                " are in the journal are stored by the next session"
+            )
 
     def _act(self) -> None:
         wish, self.wish = self.wish, None

@@ -36,7 +36,7 @@ From another machine use a tunnel, ssh -L 8080:127.0.0.1:8080 HOST, and the same
 
 
 class Page:
-    """A running server; a context manager.
+    """A running server; a context manager, which raises Failed if a tab couldn't store an episode.
 
     Attributes:
         address: what to open, with the token.
@@ -61,6 +61,7 @@ class Page:
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a tab that left
         self._open_tab = open_tab
         self.players: dict[int, Any] = {}
+        self._failures = list[str]()  # of tabs that were closed
         self._lock, token = threading.Lock(), secrets.token_urlsafe(12)
 
         class LocalServer(viser.ViserServer):
@@ -93,6 +94,8 @@ class Page:
             self._leave(number)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
+        if self._failures:
+            raise Failed("; ".join(self._failures))
 
     def _connected(self, client: Any) -> None:
         with self._lock:
@@ -105,7 +108,7 @@ class Page:
         with self._lock:
             player = self.players.pop(number, None)
         if player is not None:
-            player.close()
+            self._failures += filter(None, [player.close()])
 
 
 @contextmanager
@@ -116,7 +119,7 @@ def serve(
 
     Args:
         config: task, seed, policy and port.
-        say: gets the lines that tell what to open and where episodes are recorded.
+        say: gets the lines that tell where episodes are recorded.
         record: id of the dataset in which episodes are recorded; "" for none.
         root: folder of datasets; None for Minari's own.
 
@@ -132,9 +135,7 @@ def serve(
             if recorder.recovered:
                 say(f"stored {recorder.recovered} episodes of an interrupted session")
         tab = partial(HandTab, config=config, recorder=recorder)
-        page = stack.enter_context(Page(config, tab))
-        say(f"open {page.address} in a browser; Ctrl-C ends it")
-        yield page
+        yield stack.enter_context(Page(config, tab))
 
 
 @contextmanager

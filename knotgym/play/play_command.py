@@ -8,6 +8,7 @@ from knotgym import runs
 from knotgym.cli import Given, command
 from knotgym.common import MissingExtra
 from knotgym.play.page_config import PageConfig
+from knotgym.states import states_mark
 
 
 @command({"": PageConfig}, "task.task task.nx policy.policy port")
@@ -34,9 +35,12 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
     runs.compile_first(progress, engine=config.task.engine)
     task, dataset = config.task, ""
     if record:
-        mark = "" if task.split == "train" else f"-{task.split}"
-        dataset = id or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
-    with serve(config, progress.say, dataset, out), suppress(KeyboardInterrupt):
+        marks = "" if task.split == "train" else task.split, states_mark(task.states)
+        name = "-".join(["human", *filter(None, marks)])
+        dataset = id or f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
+    with serve(config, progress.say, dataset, out) as page, suppress(KeyboardInterrupt):
+        # in the block, as who reads it may end it at once
+        progress.say(f"open {page.address} in a browser; Ctrl-C ends it")
         progress.end()  # what is left isn't progress, of which it would tell for ever
         while True:
             time.sleep(3600)

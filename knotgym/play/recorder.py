@@ -21,7 +21,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, one_line
+from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, differences, one_line, sha256
 from knotgym.control import replay
 from knotgym.datasets import EpisodeDataset, Episodes, MinariMetadata, open_episodes, publish
 from knotgym.envs import TaskConfig
@@ -86,6 +86,7 @@ class Recorder:
         self.recovered = 0
 
     def __enter__(self) -> Self:
+        self._states = _content(self._task)
         self._seeds = self._stored_seeds()
         run = {"task": as_json(self._task), "seed": self._seed, "player": self._policy}
         whole = identity(self._task, fields={**run, "dataset_id": self._metadata.dataset_id})
@@ -138,6 +139,8 @@ class Recorder:
     def _store(self, number: int, pulls: Sequence[HandPull]) -> None:
         own = _columns(pulls)
         del own["helped"]
+        if _content(self._task) != self._states:
+            raise InvalidFile(f"{self._task.states} changed since the session began; put it back")
         whole = Episodes.to_repeat(np.array([len(pulls)]), own, self._policy)
         played = replay(whole, self._task, [self._seed_of(number)])
         there = [open_episodes(self.folder).episodes] if self.folder.exists() else []
@@ -154,14 +157,21 @@ class Recorder:
         if not os.path.lexists(self.folder):
             return set()
         found: EpisodeDataset = open_episodes(self.folder)
-        named = as_json(found.task)
-        own = {**as_json(self._task), "states": named["states"]}
+        named, own = as_json(found.task), as_json(self._task)
+        # a file of states has another name in each of them
+        named["states"], own["states"] = _content(found.found_task), self._states
         if (found.metadata or {}).get("algorithm_name") != HUMAN or named != own:
+            unlike = "; ".join(differences(named, own))
             raise InvalidFile(
                 f"{self.folder} isn't a recording of this task with these settings: give another"
-                f" --id, or the settings {named}"
+                f" --id, or the settings that it has ({unlike or 'nobody pulled by hand'})"
             )
         return set(found.episodes.episodes["seed"].tolist())
+
+
+def _content(task: TaskConfig) -> str:
+    """Return the digest of the states that a task draws from."""
+    return sha256(resolve_states(task.states))
 
 
 def _columns(pulls: Sequence[HandPull]) -> dict[str, NDArray[Any]]:

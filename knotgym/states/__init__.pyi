@@ -17,6 +17,7 @@ from .sources import minari_root as minari_root
 from .sources import resolve as resolve
 from .sources import resolve_states as resolve_states
 from .sources import shipped as shipped
+from .sources import states_mark as states_mark
 from .state_file import States as States
 from .state_file import merge_states as merge_states
 from .state_file import read_states as read_states

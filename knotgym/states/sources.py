@@ -15,7 +15,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
-from knotgym.common import InvalidFile, Kinds, MissingFile, Stream, require_no_links
+from knotgym.common import InvalidFile, Kinds, MissingFile, Stream, require_no_links, sha256
 from knotgym.rope import CHAIN, MUJOCO, EngineName
 from knotgym.topology import GaussCode, Symmetry, canonical
 
@@ -179,6 +179,13 @@ def resolve(named: str | os.PathLike[str] | None, *files: str) -> Path:
     found = next((one for one in places if one.exists()), places[0])
     require_no_links(path, [found])
     return found
+
+
+def states_mark(named: str | os.PathLike[str] | None) -> str:
+    """Return what an id says of states: "" for "readable", a set's name, or a file's digest."""
+    if is_bundled(named):
+        return "" if named in (None, "readable") else str(named)
+    return f"states{sha256(resolve_states(named))[:8]}"
 
 
 def resolve_states(named: str | os.PathLike[str] | None) -> Path:

@@ -69,6 +69,14 @@ def test_other_split_starts_are_named(tiny: EpisodeDataset, states: States, nois
     assert any(f"episode 1: its start is row {row}" in fault for fault in faults(moved))
 
 
+def test_a_start_of_other_states_is_named(tiny: EpisodeDataset, states: States) -> None:
+    """Earlier versions recorded play on two sets of states in one dataset."""
+    bench = read_states("bench", images=False)
+    laid = tiny.episodes.episodes["start_qpos"].copy()
+    laid[1] = bench.qpos[bench.rows(2, "train")[0]]
+    assert [fault[:12] for fault in faults(changed(tiny, start_qpos=laid))] == [", episode 1:"]
+
+
 def test_the_same_pulls_twice_are_named_whatever_the_seed(tiny: EpisodeDataset) -> None:
     twice = tiny.select([0, 1, 1])
     seeds = changed(twice, seed=np.arange(3))

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from pytest_types import Patch
 from knotgym.common import Failed
 from knotgym.envs import TaskConfig
 from knotgym.play.hand import HandTab
-from knotgym.play.page import Page
+from knotgym.play.page import Page, serve
 from knotgym.play.page_config import PageConfig
 
 pytestmark = pytest.mark.clients
@@ -203,18 +204,32 @@ def test_a_full_disk_is_told_and_the_tab_goes_on(page: Page, monkeypatch: Patch)
     still_plays(player)
 
 
+def test_an_episode_that_could_not_be_stored_is_told_at_the_end(
+    tmp_path: Path, monkeypatch: Patch
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    config = PageConfig(task=TASK, port=free_port())
+    with pytest.raises(Failed, match="episode 0 isn.t stored .*No space left"):
+        with serve(config, print, "knotgym/tie-nx2/human-v0", tmp_path) as page:
+            Tab(page)
+            until(lambda: page.players)
+            still_plays(page.players[0])
+            monkeypatch.setattr("knotgym.play.recorder.publish", full)
+
+
 def test_a_taken_port_is_one_line(page: Page) -> None:
     with pytest.raises(Failed, match="choose another with --port"):
         Page(PageConfig(port=port_of(page)), lambda client: client)
 
 
-def test_ctrl_c_ends_the_page_with_status_0() -> None:
+def test_ctrl_c_right_after_the_address_ends_the_page_with_status_0() -> None:
     words = [sys.executable, "-m", "knotgym", "play", "--port", str(free_port())]
     with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as run:
         assert run.stdout is not None and run.stderr is not None
         while "Ctrl-C ends it" not in run.stdout.readline():
             assert run.poll() is None
-        time.sleep(1)
         run.send_signal(signal.SIGINT)
         assert run.wait(60) == 0
         assert run.stderr.read() == ""

@@ -2,9 +2,11 @@
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from knotgym.datasets import open_episodes
 from knotgym.envs import TaskConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.session import Session
+from knotgym.states import read_states, write_states
 
 from ..small_job import staging_of
 
@@ -150,13 +153,28 @@ def test_another_session_s_pulls_are_not_taken_over(
         Recorder(task, seed, ID, player, tmp_path).__enter__()
 
 
-def test_other_data_are_left_alone(session: Session, tmp_path: Path) -> None:
+@pytest.mark.parametrize("other", [{"nx": 2}, {"states": "bench"}, {"states": "own"}])
+def test_other_data_are_left_alone(
+    session: Session, tmp_path: Path, states_path: str, other: dict[str, Any]
+) -> None:
+    """Rows of a set name its states, so that none of others join it; a file's name isn't asked."""
+    file, other = tmp_path / "own.h5", dict(other)
+    shutil.copyfile(states_path, file)
+    task = replace(TASK, states=str(file)) if other.get("states") == "own" else TASK
+    if other.get("states") == "own":
+        session = Session(task, seed=4)
+        other["states"] = str(tmp_path / "b.h5")
+        write_states(Path(other["states"]), read_states(states_path).take(slice(1, None)))
     session.pull(*PULLS[0])
-    with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
+    with Recorder(task, 4, ID, root=tmp_path) as recorder:
         recorder.finish(0, session.pulls)
-    other = TaskConfig(task="tie", nx=2, observation="state")
+    before = {path: path.read_bytes() for path in recorder.folder.rglob("*") if path.is_file()}
     with pytest.raises(InvalidFile, match="isn't a recording of this task"):
-        Recorder(other, 4, ID, root=tmp_path).__enter__()
+        Recorder(replace(task, **other), 4, ID, root=tmp_path).__enter__()
+    assert {path: path.read_bytes() for path in before} == before
+    renamed = replace(task, states=str(file.rename(tmp_path / "c.h5")) if task.states else None)
+    with Recorder(renamed, 4, ID, root=tmp_path) as recorder:
+        assert recorder.next_number() == 1
 
 
 @pytest.mark.parametrize("player", ["a\x1b[2J", "x" * 81])
