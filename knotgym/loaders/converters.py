@@ -281,6 +281,7 @@ def stream(
     block: int = 64,
     shuffled: int = 8,
     repeats: int = 4,
+    batches: int | None = None,
     **opening: Unpack[Opening],
 ) -> DataStream:
     """Make episodes or pictures without end, and return batches of their transitions or rows.
@@ -288,11 +289,20 @@ def stream(
     Where torch is imported, it is a torch `IterableDataset`:
 
         for batch in stream(CollectConfig(task=task, policy=policy), seed=0, action="decision"): ...
-        DataLoader(stream(config, 0), batch_size=None, num_workers=4)
+        DataLoader(stream(config, 0, batches=1000), batch_size=None, num_workers=4)
 
-    The batches are the same with any number of workers; ranks of `torch.distributed` take disjoint
-    ones. With torchdata's `StatefulDataLoader` or by `state_dict`, training goes on after a kill
-    with the next batch. Memory holds `shuffled` blocks, the shuffle buffer.
+    A pass is what one `iter` of the stream or of its DataLoader gives. With `batches` pass p has
+    the batches p * batches to (p + 1) * batches - 1, and the next one begins after them, even if
+    this one wasn't read to its end. Without, a pass has no end: the next one goes on after the last
+    batch given, and where workers read, which run ahead, there is no next one, but an error.
+
+    The batches and their order are the same with any number of workers, however they are started,
+    persistent or not; ranks of `torch.distributed` take turns, so each has every so manieth. Leave
+    such a loader out of accelerate's `prepare`, which would share the batches of rank 0 among all.
+
+    Training goes on after a kill with the next batch, and its pass ends where it would have: by
+    `state_dict` where no workers read or between passes, else by torchdata's `StatefulDataLoader`.
+    Memory holds `shuffled` blocks, the shuffle buffer.
 
     Args:
         config: a CollectConfig: which task, policy and labels; or an ImagesConfig: pictures of
@@ -304,13 +314,14 @@ def stream(
         shuffled: blocks that take turns; nothing is made twice if it is a multiple of the number of
             all workers.
         repeats: batches of a block; its rows come in random order, and again if there are fewer.
+        batches: of a pass, by all ranks together, whose number divides it; None for no end.
         opening: see `knotgym.loaders`; not for pictures, whose batches are those of `images`.
     """
     if "torch" not in sys.modules:
-        return DataStream(config, seed, batch, block, shuffled, repeats, opening)
+        return DataStream(config, seed, batch, block, shuffled, repeats, batches, opening)
     from knotgym.loaders.pytorch import TorchStream
 
-    return TorchStream(config, seed, batch, block, shuffled, repeats, opening)
+    return TorchStream(config, seed, batch, block, shuffled, repeats, batches, opening)
 
 
 def images(

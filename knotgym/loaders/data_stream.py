@@ -8,6 +8,12 @@
 buffer, and batch k depends on nothing but the configuration, the seed and k. Any number of workers,
 each of which takes every so manieth batch, gives the same batches in the same order, and a stream
 goes on from its place alone: from a number.
+
+    pass p      what one `iter` gives: batches p n to (p + 1) n - 1 for a pass of n, read to its end
+                or not; without a size, those from the first not yet given on, without end
+
+Workers are copies of the stream, and torch says nothing to them when a pass begins. So they write
+the passes that they have begun into memory that all copies share, from which the next ones start.
 """
 
 from __future__ import annotations
@@ -53,7 +59,7 @@ class DataStream:
     """Batches without end, see `stream`.
 
     Attributes:
-        number: the next batch of this process.
+        number: the next batch, of that many ranks as there are.
     """
 
     def __init__(
@@ -64,10 +70,11 @@ class DataStream:
         block: int,
         shuffled: int,
         repeats: int,
+        batches: int | None,
         opening: Opening,
     ) -> None:
         sizes = {"batch": batch, "block": block, "shuffled": shuffled, "repeats": repeats}
-        for name, size in sizes.items():
+        for name, size in [*sizes.items(), ("batches", 1 if batches is None else batches)]:
             if not isinstance(size, (int, np.integer)) or size < 1:
                 raise InvalidInput(f"{name} must be a whole number above 0, got {size}")
         self._pictured = hasattr(config, "pictured")
@@ -75,18 +82,23 @@ class DataStream:
             raise InvalidInput(f"streams are of a CollectConfig or an ImagesConfig, got {config!r}")
         if self._pictured and opening:
             raise InvalidInput(f"a stream of pictures takes no {', '.join(opening)}")
-        self._config, self._opening, self.number = config, opening, 0
+        self._config, self._opening = config, opening
+        # whether the next `iter` goes on in this pass; and whether `number` is one worker's alone
+        self.number, self._pass, self._goes_on, self._own = 0, 0, True, False
+        self._ranks, self._begun = (0, 1), np.zeros(0, dtype=np.int64)
         self._seed = int(getattr(config, "seed", 0) if seed is None else seed)
         # what must be the same where a stream goes on: other batches would repeat rows or skip them
         settings: dict[str, Any] = as_json(config) if dataclasses.is_dataclass(config) else {}
         sizes = {name: int(size) for name, size in sizes.items()}
-        self._made = {**settings, "seed": self._seed, **sizes}
+        self._length = None if batches is None else int(batches)
+        self._made = {**settings, "seed": self._seed, **sizes, "batches": self._length}
         self._batch, self._size, self._shuffled, self._repeats = sizes.values()
         self._held = dict[int, Transitions | Pictures]()
         self._batch_of(0)  # refuses what can't be opened before a worker does
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_held": {}}  # another process makes its own blocks
+        # another process makes its own blocks; one that is spawned knows nothing of ranks
+        return {**vars(self), "_held": {}, "_ranks": self._spread()}
 
     def _batch_of(self, number: int) -> dict[str, Any]:
         """Return one batch, as `Transitions.batch` does, whatever was returned before."""
@@ -123,41 +135,121 @@ class DataStream:
             raise InvalidInput(f"{which} have no such transitions: make the block larger")
         return transitions
 
+    def __len__(self) -> int:
+        """Return the batches of a pass, for each rank."""
+        if self._length is None:
+            raise TypeError("a stream has no length unless it is given batches=")
+        return self._length // self._spread()[1]
+
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        """Go on with the next batch; in a DataLoader's worker with its share of them."""
-        share, shares = _share()
-        number = self.number + (share - self.number) % shares
-        while True:
-            # counted before it is given: who asks for the state then goes on with the next one
-            self.number = number + shares
-            yield self._batch_of(number)
+        """Begin a pass; in a DataLoader's worker its share of one.
+
+        Raises:
+            InvalidInput: workers have read passes without a size, or ranks can't share them evenly.
+        """
+        # a worker is counted at once, because it may be asked for nothing
+        return self._given(self._begin() if _worker() else None)
+
+    def _given(self, end: float | None) -> Iterator[dict[str, Any]]:
+        end, worker, (rank, ranks) = end or self._begin(), _worker(), self._spread()
+        step = ranks * (worker.num_workers if worker else 1)
+        while self.number < end:
             number = self.number
+            # counted before it is given: who asks for the state then goes on with the next one
+            self.number += step
+            yield self._batch_of(number + rank)
+        if not worker and self.number == end:
+            self._pass, self._goes_on = self._pass + 1, True
+
+    def _begin(self) -> float:
+        """Begin a pass, or go on in one; return its end."""
+        worker, size, ranks = _worker(), self._length, self._spread()[1]
+        number, own = self._next_pass(worker), worker is not None and self._own
+        if not (self._goes_on and number == self._pass) and not own:
+            if size is not None:
+                self.number = number * size
+            elif self._begun.any():
+                raise InvalidInput(_UNKNOWN)
+        self._pass, self._own = number, False
+        self._goes_on = size is None and worker is None
+        if worker is None:
+            self._begun[:] = 0
+        else:
+            self.number += 0 if own else ranks * worker.id
+            self._begun[worker.id] = _key(worker) << 32 | number + 1
+        if size is None:
+            return float("inf")
+        end = (number + 1) * size
+        if (end - self.number) % ranks and not own:
+            raise InvalidInput(f"{ranks} ranks can't share {size} batches of a pass evenly")
+        return end
+
+    def _next_pass(self, worker: Any) -> int:
+        """Return the number of the pass that begins, or in which this process goes on."""
+        begun, passes = self._begun, self._begun & (1 << 32) - 1
+        if worker is not None and self._own:
+            return self._pass
+        if worker is not None:
+            # those of one loader have the same seed; each of them begins a pass once
+            same = passes[(begun >> 32 == _key(worker)) & (begun != 0)].max(initial=0)
+            if same and begun[worker.id] != _key(worker) << 32 | same:
+                return int(same) - 1
+        if begun.any():
+            return int(passes.max())
+        return self._pass + (not self._goes_on)
+
+    def _spread(self) -> tuple[int, int]:
+        """Return the rank of the training process, and of how many."""
+        spread: Any = getattr(sys.modules.get("torch"), "distributed", None)
+        if spread is not None and spread.is_available() and spread.is_initialized():
+            return spread.get_rank(), spread.get_world_size()
+        return self._ranks
 
     def state_dict(self) -> dict[str, Any]:
-        """Return where the stream is, for `load_state_dict` of one made alike."""
-        return {"number": self.number, "made": self._made}
+        """Return where the stream is, for `load_state_dict` of one made alike.
+
+        Raises:
+            InvalidInput: only workers know.
+        """
+        number, one = self.number, self._pass
+        if _worker() is None and self._begun.any():
+            if self._length is None:
+                raise InvalidInput(_UNKNOWN)
+            one = self._next_pass(None)
+            number = one * self._length
+        return {"number": number, "pass": one, "made": self._made}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where another stream was.
+        """Go on where another stream was, with the rest of its pass.
 
         Raises:
             InvalidInput: the other one had another seed, configuration or size, or it's no state.
         """
-        if not isinstance(state, dict) or state.keys() != self.state_dict().keys():
-            raise InvalidInput(f"the state of a stream has number and made, got {state!r}")
-        if other := next(differences(state["made"], self._made), None):
+        if not isinstance(state, dict) or state.keys() | {"pass"} != {"number", "pass", "made"}:
+            raise InvalidInput(f"the state of a stream has number, pass and made, got {state!r}")
+        # before there were passes, a rank counted its own batches
+        number = int(state["number"])
+        number -= 0 if "pass" in state else number % self._spread()[1]
+        if other := next(differences({"batches": None, **state["made"]}, self._made), None):
             raise InvalidInput(f"this stream is another one: {other}")
-        self.number = int(state["number"])
+        self.number, self._pass, self._goes_on = number, int(state.get("pass", 0)), True
+        self._own = _worker() is not None
+        if not self._own:
+            self._begun[:] = 0
 
 
-def _share() -> tuple[int, int]:
-    """Return which share of the batches is this process's, and of how many: rank and worker."""
+_UNKNOWN = (
+    "how far workers have read passes without end isn't known: give passes a size, such as"
+    " stream(..., batches=1000), or keep one iterator; torchdata's StatefulDataLoader has the state"
+)
+
+
+def _worker() -> Any:
+    """Return what torch says of this DataLoader's worker; None in the training process."""
     torch: Any = sys.modules.get("torch")
-    if torch is None:
-        return 0, 1
-    worker = torch.utils.data.get_worker_info()
-    ranks = torch.distributed.is_available() and torch.distributed.is_initialized()
-    spread = torch.distributed
-    rank, many = (spread.get_rank(), spread.get_world_size()) if ranks else (0, 1)
-    own, workers = (worker.id, worker.num_workers) if worker else (0, 1)
-    return rank + many * own, many * workers
+    return None if torch is None else torch.utils.data.get_worker_info()
+
+
+def _key(worker: Any) -> int:
+    """Return what the workers of one iterator have in common."""
+    return int(worker.seed - worker.id) % (1 << 31)

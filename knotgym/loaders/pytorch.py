@@ -102,6 +102,16 @@ class PictureDataset(Pictures, Dataset[dict[str, Any]]):
 class TorchStream(DataStream, IterableDataset[dict[str, Any]]):
     """A `DataStream` that a DataLoader takes, with `batch_size=None`."""
 
+    def __init__(self, *settings: Any) -> None:
+        super().__init__(*settings)
+        self._shared = torch.zeros(1024, dtype=torch.int64)  # more workers than any machine has
+        self.__setstate__(vars(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # spawned workers get the same memory, copies made by pickle or deepcopy their own
+        vars(self).update(state)
+        self._begun = self._shared.share_memory_().numpy()
+
 
 def _tensor(seen: NDArray[Any]) -> torch.Tensor:
     held = np.ascontiguousarray(seen)

@@ -1,5 +1,6 @@
 """Streams: batches of episodes and pictures that are made as they are needed."""
 
+import multiprocessing
 import os
 import pickle
 import random
@@ -8,7 +9,8 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from itertools import islice
+from importlib.util import find_spec
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +92,7 @@ def test_a_stream_goes_on_where_another_was() -> None:
     ):
         with pytest.raises(InvalidInput, match=words):
             other.load_state_dict(first.state_dict())
-        with pytest.raises(InvalidInput, match="has number and made, got {'_num"):
+        with pytest.raises(InvalidInput, match="has number, pass and made, got {'_num"):
             other.load_state_dict({"_num_yielded": 2})
     assert same(next(iter(stream(CollectConfig(**vars(CONFIG) | {"seed": 3}), **SMALL))), whole[0])
 
@@ -159,3 +161,94 @@ def test_workers_give_the_batches_of_a_single_process(workers: int) -> None:
     loader = DataLoader(made(), batch_size=None, num_workers=workers, multiprocessing_context=start)
     for batch, wanted in zip(islice(loader, 5), right, strict=True):
         assert same(batch, wanted)
+
+
+STARTS = ("fork", "spawn", "forkserver")
+# workers, how they start, persistent, ranks, resumed
+CELLS = [
+    *((0, None, False, ranks, resumed) for ranks in (1, 2) for resumed in (False, True)),
+    *product((1, 2), STARTS, (False, True), (1, 2), (False, True)),
+]
+QUICK = [
+    *CELLS[2:4],
+    (2, "fork", False, 2, False),
+    (2, "fork", True, 1, True),
+    (2, "forkserver", True, 2, False),
+    (1, "spawn", True, 1, False),
+]
+HAS_TORCH = find_spec("torch") is not None  # .ci/run's slow tests run where there is none, too
+
+
+@pytest.mark.parametrize(
+    ("workers", "start", "persistent", "ranks", "resumed"),
+    [
+        *(pytest.param(*cell, marks=pytest.mark.clients) for cell in QUICK),
+        *(pytest.param(*cell, marks=pytest.mark.slow) for cell in CELLS * HAS_TORCH),
+    ],
+)
+def test_passes_are_disjoint_complete_and_in_order(
+    workers: int,
+    start: str | None,
+    persistent: bool,
+    ranks: int,
+    resumed: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    torch = pytest.importorskip("torch")
+    loader_of = torch.utils.data.DataLoader
+    if resumed:
+        loader_of = pytest.importorskip("torchdata.stateful_dataloader").StatefulDataLoader
+    multiprocessing.set_forkserver_preload(["counted_stream", "torchdata.stateful_dataloader"])
+    from counted_stream import CountedStream
+
+    def loader() -> Any:
+        data = CountedStream(CONFIG, 3, 8, 4, 2, 2, 8, {})
+        words: dict[str, Any] = {"multiprocessing_context": start, "persistent_workers": persistent}
+        return loader_of(data, batch_size=None, num_workers=workers, **words if workers else {})
+
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: ranks)
+    for rank in range(ranks):
+        monkeypatch.setattr(torch.distributed, "get_rank", lambda rank=rank: rank)
+        first = loader()
+        assert len(first) == 8 // ranks
+        right = [[*range(8 * k + rank, 8 * k + 8, ranks)] for k in range(5)]
+        assert [batch["number"] for batch in first] == right[0]
+        # the next one isn't read to its end
+        given = []
+        for batch in first:
+            given.append(batch["number"])
+            if len(given) == 3:
+                state = first.state_dict() if resumed else None
+                break
+        assert given == right[1][:3]
+        if resumed:
+            first = loader()
+            first.load_state_dict(state)
+            assert [batch["number"] for batch in first] == right[1][3:]
+            ended = first.state_dict()
+        for wanted in right[2:4]:
+            assert [batch["number"] for batch in first] == wanted
+        if resumed:  # from the end of a pass
+            first = loader()
+            first.load_state_dict(ended)
+            assert [batch["number"] for batch in first] == right[2]
+
+
+@pytest.mark.clients
+def test_workers_read_a_stream_without_end_in_one_pass() -> None:
+    torch = pytest.importorskip("torch")
+    from counted_stream import CountedStream
+
+    data = CountedStream(CONFIG, 3, 8, 4, 2, 2, None, {})
+    loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=2)
+    assert [batch["number"] for batch in islice(data, 3)] == [0, 1, 2]
+    held = data.state_dict()
+    assert [batch["number"] for batch in islice(loader, 3)] == [3, 4, 5]
+    for refused in (lambda: next(iter(loader)), lambda: next(iter(data)), data.state_dict):
+        with pytest.raises(InvalidInput, match="give passes a size"):
+            refused()
+    data.load_state_dict({name: held[name] for name in ("number", "made")})  # before passes
+    assert [batch["number"] for batch in islice(loader, 3)] == [3, 4, 5]
+    with pytest.raises(InvalidInput, match="batches must be a whole number above 0, got 0"):
+        CountedStream(CONFIG, 3, 8, 4, 2, 2, 0, {})
