@@ -173,7 +173,7 @@ class DataStream:
         self._pass, self._own = number, False
         self._goes_on = size is None and worker is None
         if worker is None:
-            self._begun[:] = 0
+            self._forget()
         else:
             self.number += 0 if own else ranks * worker.id
             self._begun[worker.id] = _key(worker) << 32 | number + 1
@@ -220,7 +220,7 @@ class DataStream:
         return {"number": number, "pass": one, "made": self._made}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where another stream was, with the rest of its pass.
+        """Go on where another stream was, with the rest of its pass; before a loader reads it.
 
         Raises:
             InvalidInput: the other one had another seed, configuration or size, or it's no state.
@@ -235,7 +235,10 @@ class DataStream:
         self.number, self._pass, self._goes_on = number, int(state.get("pass", 0)), True
         self._own = _worker() is not None
         if not self._own:
-            self._begun[:] = 0
+            self._forget()
+
+    def _forget(self) -> None:
+        """Forget the passes that workers have begun."""
 
 
 _UNKNOWN = (

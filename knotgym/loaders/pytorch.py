@@ -104,12 +104,16 @@ class TorchStream(DataStream, IterableDataset[dict[str, Any]]):
 
     def __init__(self, *settings: Any) -> None:
         super().__init__(*settings)
-        self._shared = torch.zeros(1024, dtype=torch.int64)  # more workers than any machine has
-        self.__setstate__(vars(self))
+        self._forget()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
         # spawned workers get the same memory, copies made by pickle or deepcopy their own
-        vars(self).update(state)
+        self._begun = self._shared.share_memory_().numpy()
+
+    def _forget(self) -> None:
+        # new memory: a worker of before that starts late still writes into the old one
+        self._shared = torch.zeros(1024, dtype=torch.int64)  # more workers than any machine has
         self._begun = self._shared.share_memory_().numpy()
 
 

@@ -150,17 +150,11 @@ def test_killed_trainings_see_the_batches_of_an_unbroken_one(tmp_path: Path, wor
         assert same(pickle.loads((tmp_path / str(number)).read_bytes()), right), number
 
 
-@pytest.mark.clients
-@pytest.mark.parametrize("workers", [1, 2, 4])
-def test_workers_give_the_batches_of_a_single_process(workers: int) -> None:
-    pytest.importorskip("torch")
-    from torch.utils.data import DataLoader
-
-    right = [*islice(made(), 5)]
-    start = "spawn" if workers == 1 else "fork"
-    loader = DataLoader(made(), batch_size=None, num_workers=workers, multiprocessing_context=start)
-    for batch, wanted in zip(islice(loader, 5), right, strict=True):
-        assert same(batch, wanted)
+def counted(**words: Any) -> Any:
+    """A stream whose batches are their numbers."""
+    data = made(**words)
+    vars(data)["_batch_of"] = int
+    return data
 
 
 STARTS = ("fork", "spawn", "forkserver")
@@ -198,11 +192,10 @@ def test_passes_are_disjoint_complete_and_in_order(
     loader_of = torch.utils.data.DataLoader
     if resumed:
         loader_of = pytest.importorskip("torchdata.stateful_dataloader").StatefulDataLoader
-    multiprocessing.set_forkserver_preload(["counted_stream", "torchdata.stateful_dataloader"])
-    from counted_stream import CountedStream
+    multiprocessing.set_forkserver_preload(["knotgym.loaders.pytorch"])
 
     def loader() -> Any:
-        data = CountedStream(CONFIG, 3, 8, 4, 2, 2, 8, {})
+        data = counted(batches=8)
         words: dict[str, Any] = {"multiprocessing_context": start, "persistent_workers": persistent}
         return loader_of(data, batch_size=None, num_workers=workers, **words if workers else {})
 
@@ -213,11 +206,11 @@ def test_passes_are_disjoint_complete_and_in_order(
         first = loader()
         assert len(first) == 8 // ranks
         right = [[*range(8 * k + rank, 8 * k + 8, ranks)] for k in range(5)]
-        assert [batch["number"] for batch in first] == right[0]
+        assert [*first] == right[0]
         # the next one isn't read to its end
         given = []
         for batch in first:
-            given.append(batch["number"])
+            given.append(batch)
             if len(given) == 3:
                 state = first.state_dict() if resumed else None
                 break
@@ -225,30 +218,28 @@ def test_passes_are_disjoint_complete_and_in_order(
         if resumed:
             first = loader()
             first.load_state_dict(state)
-            assert [batch["number"] for batch in first] == right[1][3:]
+            assert [*first] == right[1][3:]
             ended = first.state_dict()
         for wanted in right[2:4]:
-            assert [batch["number"] for batch in first] == wanted
+            assert [*first] == wanted
         if resumed:  # from the end of a pass
             first = loader()
             first.load_state_dict(ended)
-            assert [batch["number"] for batch in first] == right[2]
+            assert [*first] == right[2]
 
 
 @pytest.mark.clients
 def test_workers_read_a_stream_without_end_in_one_pass() -> None:
     torch = pytest.importorskip("torch")
-    from counted_stream import CountedStream
-
-    data = CountedStream(CONFIG, 3, 8, 4, 2, 2, None, {})
+    data = counted()
     loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=2)
-    assert [batch["number"] for batch in islice(data, 3)] == [0, 1, 2]
+    assert [*islice(data, 3)] == [0, 1, 2]
     held = data.state_dict()
-    assert [batch["number"] for batch in islice(loader, 3)] == [3, 4, 5]
+    assert [*islice(loader, 3)] == [3, 4, 5]
     for refused in (lambda: next(iter(loader)), lambda: next(iter(data)), data.state_dict):
         with pytest.raises(InvalidInput, match="give passes a size"):
             refused()
     data.load_state_dict({name: held[name] for name in ("number", "made")})  # before passes
-    assert [batch["number"] for batch in islice(loader, 3)] == [3, 4, 5]
+    assert [*islice(loader, 3)] == [3, 4, 5]
     with pytest.raises(InvalidInput, match="batches must be a whole number above 0, got 0"):
-        CountedStream(CONFIG, 3, 8, 4, 2, 2, 0, {})
+        made(batches=0)
