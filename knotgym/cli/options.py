@@ -46,7 +46,7 @@ Listed = Annotated[str | None, Parameter(metavar="A,B")]
 Numbers = Annotated[str | None, Parameter(metavar="N,N")]
 _of_run = functools.partial(Parameter, group=_RUN_GROUP)
 DrawSeed = Annotated[int, _of_run(help="Seed of the random choice.")]
-_QUIET = Annotated[bool, Parameter(show=False, help="Print errors only.")]
+_QUIET = Annotated[bool, Parameter(show=False, help="Print results and errors only.")]
 _SET_HELP = "One setting, such as task.horizon=30; may be repeated."
 _SET = Annotated[list[str] | None, _of_run(metavar="NAME=VALUE", help=_SET_HELP)]
 _SETTINGS = Annotated[Path | None, _of_run(help="TOML or JSON file of settings.")]
@@ -136,6 +136,7 @@ def command(
                     kind = known[path].kind if path in known else str
                     tree = merged(tree, _nested({path: _read_value(value, kind, path)}))
                 function(Given(tree, known, sections, progress, quiet), *words, **mine)
+                progress.say_seconds()
 
         common = inspect.signature(_run).parameters
         parameters = [*own, *options, common["quiet"]]
@@ -170,7 +171,7 @@ class Given:
         known: path -> field, of all that can be set.
         sections: as of `command`.
         progress: the progress display.
-        quiet: whether only errors are printed.
+        quiet: whether only results and errors are printed.
     """
 
     settings: dict[str, Any]

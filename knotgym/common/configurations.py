@@ -16,6 +16,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import (
     Annotated,
@@ -104,6 +105,14 @@ def _plain(value: Any) -> Any:
     return tuple(map(_plain, value)) if isinstance(value, (list, tuple)) else value
 
 
+def _of_name(hint: Any, value: Any) -> Any:
+    """Replace names, alone or in a tuple, where a configuration with NAMED_BY is wanted."""
+    kind = next((one for one in _members(hint) if hasattr(one, "NAMED_BY")), None)
+    if kind and isinstance(value, tuple):
+        return tuple(_of_name(kind, one) for one in value)
+    return kind(**{kind.NAMED_BY: value}) if kind and isinstance(value, str) else value
+
+
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if not values or len(set(values)) < len(values):
         raise InvalidInput("must be at least one, each once")
@@ -171,15 +180,19 @@ Distinct = AfterValidator(_distinct)
 def configuration(cls: type[Config]) -> type[Config]:
     """Make a class a configuration: frozen, keywords only, validated by its annotations.
 
+    A class may say in `NAMED_BY` which of its fields a name stands for: `policy="expert"` is then
+    the same as `policy=PolicyConfig(policy="expert")`.
+
     Raises (when one is made):
         InvalidInput: an unknown field, a missing one, or a value of the wrong type or out of range.
     """
     made: Any = validated_dataclass(frozen=True, kw_only=True, config=_STRICT)(cls)
-    validate = made.__init__
+    validate, hints = made.__init__, cache(partial(get_type_hints, made))
 
     def __init__(self: Any, /, *values: Any, **fields: Any) -> None:
         try:
-            validate(self, *values, **{name: _plain(value) for name, value in fields.items()})
+            given = {n: _of_name(hints().get(n), _plain(value)) for n, value in fields.items()}
+            validate(self, *values, **given)
         except ValidationError as error:
             _refuse(error, made)
 

@@ -19,12 +19,14 @@ class Counts:
             total.
         ended: `value` is the number of items that ended. Worker processes have a
             `multiprocessing.Value` here.
+        worker_seconds: CPU time that worker processes of this one took, up to now.
     """
 
     # how many items are done, or what returns that by now
     Done: TypeAlias = int | Callable[[], int]
     listeners: ClassVar[list[Callable[[str, Done, int], None]]] = []
     ended: ClassVar[Any] = SimpleNamespace(value=0)
+    worker_seconds: ClassVar[float] = 0.0
 
     @classmethod
     def tell(cls, stage: str, done: Done, total: int) -> None:

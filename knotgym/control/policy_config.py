@@ -6,7 +6,7 @@ Whether a policy of that name exists is found out when it is made, see `policies
 from math import inf
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import NonNegativeInt, PositiveInt
 
@@ -47,7 +47,7 @@ class PullPlannerConfig:
 
 @configuration
 class PolicyConfig:
-    """Which policy acts, and its settings.
+    """Which policy acts, and its settings; where one is wanted, a name stands for its defaults.
 
     Attributes:
         policy: policy: random, expert, noisy, play or pretrained; a folder written by `knotgym
@@ -58,6 +58,8 @@ class PolicyConfig:
         expert: settings of the expert.
         planner: settings of the planner.
     """
+
+    NAMED_BY: ClassVar = "policy"
 
     policy: Annotated[
         str,

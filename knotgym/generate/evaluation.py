@@ -93,7 +93,7 @@ def evaluate(
     record: Path | None = None,
     progress: runs.Progress | None = None,
 ) -> list[Result]:
-    """Evaluate, print the results, and write the requested files.
+    """Evaluate, print the results on `progress`, and write the requested files.
 
     Args:
         config: what to evaluate.
@@ -112,7 +112,7 @@ def evaluate(
         InvalidInput: the state file lacks states that a task needs.
         InvalidInput, Occupied, Failed: as in `runs.runner.run`, and for `video`.
     """
-    progress = progress or runs.Progress(quiet=True)
+    is_shown, progress = progress is not None, progress or runs.Progress(quiet=True)
     if out is None and (options.resume or options.restart):
         raise InvalidInput("--resume and --restart need the --out of the evaluation; give it too")
     if not options.shard.is_whole and (out is None or video or record):
@@ -164,7 +164,7 @@ def evaluate(
                 f"{out} is finished already, but {more} isn't there; --overwrite without --resume"
                 " makes both again"
             )
-    if not options.quiet:
+    if is_shown:
         show(results, progress.console, config.task.engine)
     if video is not None:
         count = sum(one.episodes.rows for one in films)

@@ -222,7 +222,8 @@ class ImagesConfig:
     """Which pictures to make.
 
     Attributes:
-        nx: numbers of crossings: 3, 2,3 or 0-4.
+        nx: numbers of crossings: 3, 2,3 or 0-4; of several, the largest is in split test-nx alone,
+            unless --set test_nx=none.
         count: total pictures, spread evenly over the numbers of crossings.
         test_nx: crossing numbers held out for split "test-nx", larger than all others; empty for
             the largest if there are several, none to hold none out.

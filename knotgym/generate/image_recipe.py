@@ -199,7 +199,8 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
     finish(place, pictures.report(), made)
-    return f"{len(pictures.chosen)} pictures"
+    held = f"; all of nx {', '.join(map(str, config.held_nx))} in split test-nx"
+    return f"{len(pictures.chosen)} pictures{held if config.held_nx else ''}"
 
 
 def _drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> Result:

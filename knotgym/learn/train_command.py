@@ -31,7 +31,9 @@ def train(
         common = {name: given.get(name) for name in ("steps", "seed") if given.has(name)}
         config = given.config(CloneConfig, common, section="clone")
     elif learner != "pictures":
-        raise InvalidInput(f"no learner {learner!r}; there is pictures, clone")
+        raise InvalidInput(
+            f"no learner {learner!r}; there is pictures, clone; examples/learners trains others"
+        )
     elif given.has("clone"):
         raise InvalidInput("settings of the clone are for --learner clone")
     else:

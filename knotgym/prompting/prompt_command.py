@@ -62,13 +62,11 @@ def prompt(
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
     folder = run_folder(out, f"prompt-{config.mode}-{subject}-{model}")
 
+    from knotgym.cli import print_summary
     from knotgym.prompting.prompt_run import run_prompts
 
     run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
-    if not given.quiet:
-        from knotgym.cli import print_summary
-
-        print_summary(str(folder), given.progress.console)
+    print_summary(str(folder), given.progress.console)
 
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:

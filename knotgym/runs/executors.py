@@ -19,11 +19,13 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.util import Finalize
 from typing import Any
 
 from knotgym import drawing, quality, rendering, topology
@@ -65,7 +67,9 @@ class _Processes(ProcessPoolExecutor):
     def __init__(self, workers: int) -> None:
         context = _context()
         self.workers, self.ended = workers, context.Value("q", 0)
-        super().__init__(workers, mp_context=context, initializer=_serve, initargs=(self.ended,))
+        self.seconds = context.Value("d", 0)  # of CPU, of workers that have ended
+        shared = self.ended, self.seconds
+        super().__init__(workers, mp_context=context, initializer=_serve, initargs=shared)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
         with _starting():  # this may start a process
@@ -101,6 +105,7 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
     try:
         yield pool
         pool.shutdown()
+        Counts.worker_seconds += pool.seconds.value
     except BaseException:
         for process in list((getattr(pool, "_processes", None) or {}).values()):
             process.terminate()
@@ -157,13 +162,20 @@ def _context() -> multiprocessing.context.BaseContext:
     return multiprocessing.get_context("forkserver")
 
 
-def _serve(ended: Any) -> None:
+def _serve(ended: Any, seconds: Any) -> None:
     import cv2
 
     Counts.ended = ended
+    # The shell's `time` doesn't see workers: they are children of the fork server.
+    Finalize(None, _count_seconds, (seconds,), exitpriority=0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _count_seconds(seconds: Any) -> None:
+    with seconds.get_lock():
+        seconds.value += time.process_time()
 
 
 def _end_with_parent() -> None:

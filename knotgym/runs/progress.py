@@ -120,6 +120,13 @@ class Progress:
         for line in lines if not self.quiet else ():
             self.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
+    def say_seconds(self) -> None:
+        """Print the CPU time so far if workers had a share, which `time` leaves out."""
+        if Counts.worker_seconds and not self.quiet:
+            total = time.process_time() + Counts.worker_seconds
+            line = f"{total:.0f} CPU seconds, workers included"
+            self._printed.print(line, soft_wrap=True, highlight=False, markup=False)
+
     def _tell(self, line: str) -> None:
         self._told = self._clock()
         line = f"{self._clock() - self._began:5.0f} s  {line}"

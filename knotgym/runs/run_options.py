@@ -68,7 +68,7 @@ class RunOptions:
             file system and run the work (needs the extra dask); by default local processes do.
         shard: 2/8 makes the second eighth of the run, and leaves its journal; the same run without
             a shard, where all eight journals lie, makes the output.
-        quiet: print errors only.
+        quiet: print results and errors only.
     """
 
     resume: bool = False

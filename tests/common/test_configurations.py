@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -91,3 +91,20 @@ def test_a_configuration_comes_back_from_json(kind: Any) -> None:
 def test_numbers_of_numpy_are_plain_ones() -> None:
     config = Outer(seed=np.int32(5), inner=Inner(range=(np.float32(0.5), np.float64(1))))  # type: ignore[arg-type]
     assert type(config.seed) is int and type(config.inner.range[0]) is float
+
+
+def test_a_name_stands_for_a_configuration_that_is_named_by_a_field() -> None:
+    @configuration
+    class Named:
+        NAMED_BY: ClassVar = "name"
+        name: str = "a"
+
+    @configuration
+    class Holder:
+        one: Named = Named()
+        many: tuple[Named, ...] = ()
+
+    held: Any = {"one": "b", "many": ("c", Named(name="d"))}
+    assert Holder(**held) == Holder(one=Named(name="b"), many=(Named(name="c"), Named(name="d")))
+    with pytest.raises(InvalidInput, match="one must be an instance of Named, got 3"):
+        Holder(**dict[str, Any](one=3))

@@ -28,7 +28,9 @@ def ends_three(number: int) -> dict[str, Any]:
 
 
 def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -> None:
-    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))  # nothing compiled there
+    kernel = SimpleNamespace(
+        __module__="k", __name__="k", stats=SimpleNamespace(cache_path=tmp_path)
+    )  # nothing compiled there
     monkeypatch.setattr("knotgym.topology.scan", kernel)
     stages: list[str] = []
     monkeypatch.setattr(Progress, "stage", lambda _, name: stages.append(name))
@@ -39,7 +41,9 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -
 def test_a_first_environment_says_once_that_it_compiles(
     tmp_path: Path, monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))
+    kernel = SimpleNamespace(
+        __module__="k", __name__="k", stats=SimpleNamespace(cache_path=tmp_path)
+    )
     monkeypatch.setattr("knotgym.topology.scan", kernel)
     monkeypatch.setattr("knotgym.rope.engines._warned", set())
     for _ in range(2):
