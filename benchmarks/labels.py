@@ -1,11 +1,13 @@
 """Gauss codes against an independent labeller, on millions of ropes, with every doubt counted.
 
     python benchmarks/labels.py --frames 10000000 --out labels.json
+    python benchmarks/labels.py --frames 100000 --pieces 4 --out pieces.json    # open and several
 
 Ropes come from random pulls in both engines, from the states of `bench` and from curves drawn from
 codes of 0 to 10 crossings. Each is seen as it is and from seven random sides; seven of the eight
 are then made hard: flattened, scaled, dented onto another strand, with vertices that nearly
-coincide or strands that are nearly as high. Chunk k depends on (seed, k) alone. The file keeps what
+coincide or strands that are nearly as high. With `--pieces` each is then cut into 1 to so many, and
+every piece is open or closed by a coin. Chunk k depends on (seed, k) alone. The file keeps what
 was counted, and a second run goes on there.
 
 The labeller here shares no code with the package. It decides signs of orientations, the order of
@@ -28,6 +30,7 @@ from contextlib import suppress
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -38,7 +41,7 @@ from knotgym.drawing import drawn_curve
 from knotgym.generate import PhasedPulls
 from knotgym.rope import CHAIN, MUJOCO, RopeConfig, simulation_of
 from knotgym.states import read_states, shipped
-from knotgym.topology import CodeArrays, label_many, uniform_code
+from knotgym.topology import CodeArrays, find_ropes_crossings, label, uniform_code
 
 WIDTH = 128  # crossings; the few ropes with more are labelled in rational numbers
 _HALF_ULP = 2.0**-53
@@ -62,11 +65,12 @@ def _error(a: Array, b: Array, c: Array) -> float:
 
 
 @njit
-def _certain(p: Array, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> int:
+def _certain(p: Array, after: Ids, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> int:
     """Label a rope in floating point; return its crossings, or -1 where an order isn't certain.
 
     Args:
         p: float64 (beads, 3).
+        after: int64 (beads,), the bead that each is joined to, -1 for none.
         visits: int16 (2 WIDTH,), written: numbers of crossings, negative on the lower strand.
         signs: int8 (WIDTH,), written: 1 where (over x under) points up, else -1.
     """
@@ -74,9 +78,11 @@ def _certain(p: Array, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> in
     # of strand s, one of hit s // 2: edge, fraction along it and its error, height and its error
     strand, upward = np.empty((2 * WIDTH, 5)), np.empty(WIDTH, np.bool_)
     for i in range(n):
-        a, b = p[i], p[(i + 1) % n]
-        for j in range(i + 2, n - (i == 0)):
-            c, d = p[j], p[(j + 1) % n]
+        a, b = p[i], p[after[i]]
+        for j in range(i + 1, n):
+            if min(after[i], after[j]) < 0 or after[i] == j or after[j] == i:
+                continue
+            c, d = p[j], p[after[j]]
             if (
                 max(a[0], b[0]) < min(c[0], d[0]) or max(c[0], d[0]) < min(a[0], b[0])
                 or max(a[1], b[1]) < min(c[1], d[1]) or max(c[1], d[1]) < min(a[1], b[1])
@@ -122,46 +128,49 @@ def _certain(p: Array, visits: NDArray[np.int16], signs: NDArray[np.int8]) -> in
 
 
 @njit
-def _label_all(points: Array, visits: Array, signs: Array, counts: Ids) -> None:
+def _label_all(points: Array, after: Ids, visits: Array, signs: Array, counts: Ids) -> None:
     for rope in range(len(points)):
-        counts[rope] = _certain(points[rope], visits[rope], signs[rope])
+        counts[rope] = _certain(points[rope], after[rope], visits[rope], signs[rope])
 
 
 Point = tuple[Fraction, Fraction, Fraction]
 
 
-def labels(points: Array) -> tuple[str, float]:
+def labels(points: Array, after: Ids | None = None) -> tuple[str, float]:
     """Label a rope in rational numbers.
 
     Args:
         points: float64 (beads, 3).
+        after: as of `_certain`; None for one closed curve.
 
     Returns:
         The code with chirality, and the margin, see the module; 0 where three beads are in line.
     """
-    ends = points[:, None], np.roll(points, -1, axis=0)[:, None], points[None]
+    after = np.append(np.arange(1, len(points)), 0) if after is None else after
+    ends = points[:, None], points[after][:, None], points[None]
     side, error = _turn.py_func(*(np.moveaxis(one, -1, 0) for one in ends))
     n, sign, in_line = len(points), np.sign(side), False
-    error[np.arange(n), np.arange(n)] = error[np.arange(n), np.arange(1, n + 1) % n] = -1.0
+    error[np.arange(n), np.arange(n)] = error[np.arange(n), after] = -1.0
     beads = [(Fraction(x), Fraction(y), Fraction(z)) for x, y, z in points.tolist()]
     for i, j in np.argwhere(np.abs(side) <= error).tolist():
-        turn = _turn.py_func(beads[i], beads[(i + 1) % n], beads[j])[0]
+        turn = _turn.py_func(beads[i], beads[after[i]], beads[j])[0]
         sign[i, j] = (turn > 0) - (turn < 0)
         in_line |= not turn
-    apart = (sign > 0) != (np.roll(sign, -1, axis=1) > 0)  # edge j has its ends on both sides of i
-    hit = np.triu(apart & apart.T, 2)
-    hit[0, n - 1] = False  # these two share a bead
-    code, margin = _code(beads, np.argwhere(hit).tolist())
+    apart = (sign > 0) != (sign[:, after] > 0)  # edge j has its ends on both sides of i
+    hit = apart & apart.T
+    hit[after < 0] = hit[:, after < 0] = False
+    hit[np.arange(n), after] = hit[after, np.arange(n)] = False  # these two share a bead
+    code, margin = _code(beads, after.tolist(), np.argwhere(np.triu(hit, 1)).tolist())
     return code, 0.0 if in_line else margin
 
 
-def _code(beads: list[Point], hits: list[list[int]]) -> tuple[str, float]:
+def _code(beads: list[Point], after: list[int], hits: list[list[int]]) -> tuple[str, float]:
     """Return the code of one rope with pairs of edges that cross, and its margin."""
     # edge, fraction along it, height, number of the crossing, errors of both; two a crossing
     strands: list[tuple[int, Fraction, Fraction, int, float, float]] = []
     upward = []  # whether d_first x d_second points up
     for number, (i, j) in enumerate(hits):
-        a, b, c, d = beads[i], beads[(i + 1) % len(beads)], beads[j], beads[(j + 1) % len(beads)]
+        a, b, c, d = beads[i], beads[after[i]], beads[j], beads[after[j]]
         for edge, p, q, r, s in ((i, a, b, c, d), (j, c, d, a, b)):
             here, there = _turn.py_func(r, s, p)[0], _turn.py_func(r, s, q)[0]
             error = sum(_error(*(tuple(map(float, x)) for x in (r, s, t))) for t in (p, q))
@@ -191,24 +200,61 @@ def _code(beads: list[Point], hits: list[list[int]]) -> tuple[str, float]:
     return ",".join(words), min(margins, default=np.inf)
 
 
-def compare(points: Array) -> tuple[NDArray[np.bool_], dict[int, tuple[str, float]]]:
+def compare(
+    points: Array, cuts: list[Cut] | None = None
+) -> tuple[NDArray[np.bool_], dict[int, tuple[str, float]]]:
     """Label ropes here and by the package.
 
     Args:
         points: float64 (ropes, beads, 3).
+        cuts: how each is cut into pieces; None if all are whole.
 
     Returns:
         bool (ropes,), whether the label is certain and the package's equals it; and by row the code
         and the margin of those labelled in rational numbers.
     """
-    ropes = len(points)
+    ropes, beads, _ = points.shape
+    after = np.tile(np.append(np.arange(1, beads), 0), (ropes, 1))
+    for own, (ends, closed) in zip(after, cuts or (), strict=bool(cuts)):
+        own[ends - 1] = np.where(closed, np.append(0, ends[:-1]), -1)
     visits, signs = np.zeros((ropes, 2 * WIDTH), np.int16), np.zeros((ropes, WIDTH), np.int8)
     counts = np.empty(ropes, np.int64)
-    _label_all(points, visits, signs, counts)
-    ours = CodeArrays.read(points, WIDTH)
-    same = (counts == ours.crossings) & (ours.visits[:, : 2 * WIDTH] == visits).all(axis=1)
-    same &= (ours.signs[:, :WIDTH] == signs).all(axis=1)
-    return same, {row: labels(points[row]) for row in np.flatnonzero(counts < 0).tolist()}
+    _label_all(points, after, visits, signs, counts)
+    if cuts is None:
+        ours = CodeArrays.read(points, WIDTH)
+        same = (counts == ours.crossings) & (ours.visits[:, : 2 * WIDTH] == visits).all(axis=1)
+        same &= (ours.signs[:, :WIDTH] == signs).all(axis=1)
+    else:
+        same = np.zeros(ropes, np.bool_)
+        for row, count in enumerate(counts.tolist()):
+            code = ours_of(points[row], cuts[row])
+            same[row] = code == _text(visits[row, : 2 * count], signs[row])
+    doubted = np.flatnonzero(counts < 0).tolist()
+    return same, {row: labels(points[row], after[row]) for row in doubted}
+
+
+Cut = tuple[Ids, NDArray[np.bool_]]  # where each piece ends, and whether it is closed
+
+
+def ours_of(points: Array, cut: Cut) -> str:
+    """Return the package's code, with chirality, of the pieces of a rope, one after the other."""
+    pieces = np.split(points, cut[0][:-1])
+    code = find_ropes_crossings(pieces, cut[1].tolist()).code
+    signs = np.array([1 if one == "c" else -1 for one in code.chirality or ""])
+    return _text(np.array([visit for walk in code.visits for visit in walk], np.int64), signs)
+
+
+def _text(visits: NDArray[Any], signs: NDArray[Any]) -> str:
+    words = [f"{abs(v)}{'+' if v > 0 else '-'}{'c' if signs[abs(v) - 1] > 0 else 'a'}"
+             for v in visits.tolist()]  # fmt: skip
+    return ",".join(words)
+
+
+def cut_of(beads: int, most: int, rng: np.random.Generator) -> Cut:
+    """Cut a rope into 1 to `most` pieces of at least 3 beads, each open or closed."""
+    inner = 3 * rng.choice(np.arange(1, beads // 3), rng.integers(most), replace=False)
+    ends = np.append(np.sort(inner), beads)
+    return ends, rng.random(len(ends)) < 0.5
 
 
 class Ropes:
@@ -280,22 +326,28 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10_000_000)
     parser.add_argument("--chunk", type=int, default=16_384, help="a multiple of 8")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--pieces", type=int, default=0, help="most pieces of a rope; 0: whole")
     parser.add_argument("--out", type=Path, default=Path("labels.json"))
     args = parser.parse_args()
-    sizes = {"seed": args.seed, "chunk": args.chunk}
+    sizes = {"seed": args.seed, "chunk": args.chunk, "pieces": args.pieces}
     told = {**sizes, "chunks": 0, "seconds": 0.0, "counts": {}, "wrong": []}
     if args.out.exists():
         told = json.loads(args.out.read_text())
-        if any(told[name] != value for name, value in sizes.items()):
+        if any(told.get(name, 0) != value for name, value in sizes.items()):
             parser.error(f"{args.out} is of another seed or chunk; name another file")
     counts, ropes, began = Counter(told["counts"]), Ropes(), time.process_time() - told["seconds"]
     while told["chunks"] * args.chunk < args.frames:
         rng = np.random.default_rng([args.seed, told["chunks"]])
         for way, points in ropes.chunk(rng, args.chunk):
-            same, exact = compare(points)
-            ours = [code.chiral for code in label_many(points[[*exact]])]
-            for (row, (code, margin)), our in zip(exact.items(), ours, strict=True):
-                same[row] = code == our
+            cuts = None
+            if args.pieces:
+                cuts = [cut_of(points.shape[1], args.pieces, rng) for _ in points]
+            same, exact = compare(points, cuts)
+            for row, (code, margin) in exact.items():
+                ours = (
+                    label(points[row]).chiral if cuts is None else ours_of(points[row], cuts[row])
+                )
+                same[row] = code == ours
                 counts[f"{way}: beyond float64"] += 0 < margin <= 1
                 counts[f"{way}: unclear"] += not margin
                 counts[f"{way}: unclear and different"] += not margin and not same[row]

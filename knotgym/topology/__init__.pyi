@@ -3,6 +3,7 @@ from .crossing_kernel import scan as scan
 from .crossings import CodeArrays as CodeArrays
 from .crossings import Crossings as Crossings
 from .crossings import find_crossings as find_crossings
+from .crossings import find_ropes_crossings as find_ropes_crossings
 from .crossings import label as label
 from .crossings import label_many as label_many
 from .crossings import same_spot as same_spot
@@ -11,6 +12,7 @@ from .diagrams import faces as faces
 from .diagrams import uniform_code as uniform_code
 from .diagrams import with_chirality as with_chirality
 from .gauss import GaussCode as GaussCode
+from .gauss import RopesCode as RopesCode
 from .knots import LISTED_NX as LISTED_NX
 from .knots import UNKNOT as UNKNOT
 from .knots import UNKNOWN as UNKNOWN
@@ -23,6 +25,7 @@ from .knots import shows as shows
 from .knots import type_of as type_of
 from .notation import dt_text as dt_text
 from .notation import parse_codes as parse_codes
+from .notation import parse_ropes as parse_ropes
 from .notation import pd_text as pd_text
 from .reference_labeller import pyknotid_code as pyknotid_code
 from .symmetry import Symmetry as Symmetry

@@ -1,4 +1,7 @@
-"""Compiled search for the crossings of a closed polyline; `topology.crossings` is its interface.
+"""Compiled search for the crossings of polylines; `topology.crossings` is its interface.
+
+The beads of several curves, open or closed, stand one after the other. Edge k leads from bead k to
+bead after[k]; the last bead of an open curve has no edge, and after is -1 there.
 
 The search runs in five steps:
 
@@ -44,7 +47,7 @@ _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 b
 
 @njit(cache=True, nogil=True)
 def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
-    """Find all crossings of one rope.
+    """Find all crossings of one closed rope.
 
     Args:
         points: float64 (beads, 3), contiguous.
@@ -54,12 +57,40 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
         visits: int64 (2 n,), signed crossing labels in the order of the walk.
         table: float64 (n, 7), one row per crossing in order of labels; see CROSSING.
     """
+    finite, visits, table, _ = scan_curves(points, *_one(points.shape[0]))
+    return finite, visits, table
+
+
+@inlined
+def _one(beads: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return `ends` and `closed` of a single closed curve."""
+    ends, closed = np.empty(1, np.int64), np.empty(1, np.bool_)
+    ends[0], closed[0] = beads, True
+    return ends, closed
+
+
+@njit(cache=True, nogil=True)
+def scan_curves(
+    points: np.ndarray, ends: np.ndarray, closed: np.ndarray
+) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
+    """Find all crossings of several curves, of each with itself and with the others.
+
+    Args:
+        points: float64 (beads, 3), contiguous; the curves one after the other.
+        ends: int64 (curves,), the row after the last of each curve.
+        closed: bool (curves,), whether its last bead is joined to its first.
+
+    Returns:
+        As `scan`, with places counted in rows of all points; and
+        owners: int64 (2 n,), the edge of each visit.
+    """
     if not _all_finite(points):
-        return False, np.empty(0, np.int64), np.empty((0, 7))
-    points, edges = _distinct(points)
-    hits = _hits(points, ALL)
-    fractions, heights, errors = _locate(points, hits)
-    walk = _walk(points, hits, fractions, errors)
+        return False, np.empty(0, np.int64), np.empty((0, 7)), np.empty(0, np.int64)
+    points, edges, after = _distinct(points, ends, closed)
+    hits = _hits(points, after, ALL)
+    fractions, heights, errors = _locate(points, after, hits)
+    walk = _walk(points, after, hits, fractions, errors)
+    owners = np.empty(len(walk), np.int64)
     visits = np.empty(len(walk), np.int64)
     table = np.empty((len(hits), 7))
     first_visits = np.empty(len(hits), np.int64)  # per hit the signed label; 0: not yet visited
@@ -67,6 +98,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     nx = 0
     for k in range(len(walk)):
         h = walk[k] // 2
+        owners[k] = edges[hits[h, walk[k] % 2]]
         if first_visits[h] == 0:
             nx += 1
             # `strand ^ 1` is the other strand of the same hit. At equal heights the strand that is
@@ -74,7 +106,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
             one, other = walk[k], walk[k] ^ 1
             above = heights[one] - heights[other]
             if abs(above) <= errors[one, 1] + errors[other, 1]:
-                above = height_order(points, hits[h, one % 2], hits[h, other % 2])
+                above = height_order(points, after, hits[h, one % 2], hits[h, other % 2])
             over = one if above >= 0 else other
             row = table[nx - 1]
             row[CROSSING.over_place] = edges[hits[h, over % 2]] + fractions[over]
@@ -82,7 +114,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
             row[CROSSING.over_z], row[CROSSING.under_z] = heights[over], heights[over ^ 1]
             # hits[h, 2] is the sign of d_i x d_j; the crossing sign is that of d_over x d_under
             row[CROSSING.sign] = hits[h, 2] if over % 2 == 0 else -hits[h, 2]
-            start, end = hits[h, 0], (hits[h, 0] + 1) % points.shape[0]
+            start, end = hits[h, 0], after[hits[h, 0]]
             for axis, column in enumerate((CROSSING.x, CROSSING.y)):
                 step = points[end, axis] - points[start, axis]
                 row[column] = points[start, axis] + fractions[2 * h] * step
@@ -90,7 +122,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
             first_visits[h] = visits[k]
         else:
             visits[k] = -first_visits[h]
-    return True, visits, table
+    return True, visits, table, owners
 
 
 @njit(cache=True, nogil=True)
@@ -107,9 +139,9 @@ def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts:
     Returns:
         The largest number of crossings.
     """
-    most, width = 0, signs.shape[1]
+    most, width, one = 0, signs.shape[1], _one(points.shape[1])
     for rope in range(points.shape[0]):
-        finite, walked, table = scan(points[rope])
+        finite, walked, table, _ = scan_curves(points[rope], *one)
         nx = len(table)
         counts[rope] = nx if finite else -1
         most = max(most, nx)
@@ -131,12 +163,16 @@ def _all_finite(points: np.ndarray) -> bool:
 
 
 @inner
-def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Take out vertices on the spot of the last one that was kept, and at the end of the first.
+def _distinct(
+    points: np.ndarray, ends: np.ndarray, closed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Take out vertices on the spot of the last one that was kept, and of closed curves also those
+    at the end that are on the spot of the first.
 
     Returns:
         kept: float64 (m, 3), `points` itself if all are kept.
         edges: int64 (m,), the edge of `points` that leads from each of them to the next.
+        after: int64 (m,), the next, -1 at the end of an open curve.
     """
     beads = points.shape[0]
     extent = 0.0
@@ -147,23 +183,30 @@ def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             low, high = min(low, points[bead, axis]), max(high, points[bead, axis])
         extent = max(extent, SAME * high - SAME * low)
     edges, first = np.empty(beads, np.int64), np.empty(beads, np.int64)
-    for bead in range(beads):
-        edges[bead] = first[bead] = bead
-    kept = 1
-    for bead in range(1, beads):
-        if not _same_spot(points, first[kept - 1], bead, extent):
-            first[kept] = bead
-            kept += 1
-        edges[kept - 1] = bead  # the last vertex on the spot is where the next edge begins
-    while kept > 1 and _same_spot(points, first[0], first[kept - 1], extent):
-        kept -= 1
+    after = np.empty(beads, np.int64)
+    kept = row = 0
+    for curve in range(len(ends)):
+        start = kept
+        for bead in range(row, ends[curve]):
+            if kept == start or not _same_spot(points, first[kept - 1], bead, extent):
+                first[kept], after[kept] = bead, kept + 1
+                kept += 1
+            edges[kept - 1] = bead  # the last vertex on the spot is where the next edge begins
+        while (
+            closed[curve]
+            and kept > start + 1
+            and _same_spot(points, first[start], first[kept - 1], extent)
+        ):
+            kept -= 1
+        after[kept - 1] = start if closed[curve] else -1
+        row = ends[curve]
     if kept == beads:
-        return points, edges
+        return points, edges, after
     distinct = np.empty((kept, 3))
     for k in range(kept):
         for axis in range(3):
             distinct[k, axis] = points[first[k], axis]
-    return distinct, edges
+    return distinct, edges, after[:kept]
 
 
 @inner
@@ -175,11 +218,11 @@ def _same_spot(points: np.ndarray, one: int, other: int, extent: float) -> bool:
 
 
 @inlined
-def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _boxes(points: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute bounding boxes in the plane, rows (x min, x max, y min, y max).
 
     Returns:
-        edges: float64 (4, beads), one box per edge.
+        edges: float64 (4, beads), one box per edge; an empty one where there is no edge.
         blocks: float64 (4, blocks), one box per _BLOCK neighbouring edges.
     """
     beads = points.shape[0]
@@ -188,7 +231,10 @@ def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # empty boxes: any edge extends them
     blocks[0], blocks[1], blocks[2], blocks[3] = np.inf, -np.inf, np.inf, -np.inf
     for i in range(beads):
-        end = i + 1 if i + 1 < beads else 0
+        end = after[i]
+        if end < 0:
+            edges[0, i], edges[1, i], edges[2, i], edges[3, i] = np.inf, -np.inf, np.inf, -np.inf
+            continue
         for axis in range(2):
             low = min(points[i, axis], points[end, axis])
             high = max(points[i, axis], points[end, axis])
@@ -207,20 +253,21 @@ def _disjoint(boxes: np.ndarray, one: int, other: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def count_hits(points: np.ndarray, most: int) -> int:
+def count_hits(points: np.ndarray, ends: np.ndarray, closed: np.ndarray, most: int) -> int:
     """Count the pairs of edges that cross; the search ends once there are more than `most`."""
-    return len(_hits(_distinct(points)[0], most))
+    points, _, after = _distinct(points, ends, closed)
+    return len(_hits(points, after, most))
 
 
 @inner
-def _hits(points: np.ndarray, most: int) -> np.ndarray:
+def _hits(points: np.ndarray, after: np.ndarray, most: int) -> np.ndarray:
     """Find the pairs of edges i < j that cross; the search ends once there are more than `most`.
 
     Returns:
         int64 (n, 3): i, j, and the sign of the z-component of d_i x d_j, d being edge directions.
     """
     beads = points.shape[0]
-    edges, blocks = _boxes(points)
+    edges, blocks = _boxes(points, after)
     hits = np.empty((16, 3), np.int64)
     count = 0
     for a in range(blocks.shape[1]):
@@ -228,13 +275,12 @@ def _hits(points: np.ndarray, most: int) -> np.ndarray:
             if _disjoint(blocks, a, b):
                 continue
             for i in range(_BLOCK * a, min(_BLOCK * (a + 1), beads)):
-                # Edges that share a bead never cross: j starts at i + 2, and edge 0 skips the
-                # closing edge beads - 1, which ends at bead 0.
-                last = beads - 1 if i == 0 else beads
-                for j in range(max(i + 2, _BLOCK * b), min(_BLOCK * (b + 1), last)):
-                    if _disjoint(edges, i, j):
+                # edges that share a bead never cross: the next, and the last of a closed curve
+                first = i + 2 if after[i] == i + 1 else i + 1
+                for j in range(max(first, _BLOCK * b), min(_BLOCK * (b + 1), beads)):
+                    if _disjoint(edges, i, j) or after[j] == i:
                         continue
-                    turn = _crosses(points, i, j)
+                    turn = _crosses(points, after, i, j)
                     if turn != 0:
                         if count == len(hits):  # double the buffer
                             larger = np.empty((2 * count, 3), np.int64)
@@ -250,14 +296,13 @@ def _hits(points: np.ndarray, most: int) -> np.ndarray:
 
 
 @inlined
-def _crosses(points: np.ndarray, i: int, j: int) -> int:
+def _crosses(points: np.ndarray, after: np.ndarray, i: int, j: int) -> int:
     """Return 0 if edges i and j don't cross, else the side of edge i on which edge j ends.
 
     Two segments cross if each separates the end points of the other. `side` is never 0, so there
     is no touching case.
     """
-    beads = points.shape[0]
-    i_end, j_end = (i + 1) % beads, (j + 1) % beads
+    i_end, j_end = after[i], after[j]
     # the side of edge i on which edge j ends, and on which it begins: equal if j lies on one side
     turn: int = side(points, i, i_end, j_end)
     if side(points, i, i_end, j) == turn:
@@ -268,7 +313,9 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
 
 
 @inlined
-def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _locate(
+    points: np.ndarray, after: np.ndarray, hits: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find where each strand passes its crossing.
 
     Returns:
@@ -276,14 +323,13 @@ def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarra
         heights: float64 (2 n,), z there, metres.
         errors: float64 (2 n, 2), bounds on the rounding errors of both.
     """
-    beads = points.shape[0]
     fractions, heights = np.empty(2 * len(hits)), np.empty(2 * len(hits))
     errors = np.empty((2 * len(hits), 2))
     for h in range(len(hits)):
         for late in range(2):  # 0: the strand on edge i of the hit, 1: the one on edge j
             i, j, strand = hits[h, late], hits[h, 1 - late], 2 * h + late
-            fraction, error = _fraction(points, i, (i + 1) % beads, j, (j + 1) % beads)
-            low, high = points[i, 2], points[(i + 1) % beads, 2]
+            fraction, error = _fraction(points, i, after[i], j, after[j])
+            low, high = points[i, 2], points[after[i], 2]
             fractions[strand], heights[strand] = fraction, low + fraction * (high - low)
             errors[strand, 0] = error
             errors[strand, 1] = error * abs(high - low) + 4 * HALF_ULP * (abs(low) + abs(high))
@@ -321,9 +367,13 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> tup
 
 @inlined
 def _walk(
-    points: np.ndarray, hits: np.ndarray, fractions: np.ndarray, errors: np.ndarray
+    points: np.ndarray,
+    after: np.ndarray,
+    hits: np.ndarray,
+    fractions: np.ndarray,
+    errors: np.ndarray,
 ) -> np.ndarray:
-    """Sort the strands by position along the rope, int64 (2 n,).
+    """Sort the strands by position along the curves, int64 (2 n,).
 
     A counting sort by edge, with an insertion sort by fraction within each edge: few edges have
     more than one strand.
@@ -349,7 +399,7 @@ def _walk(
             ahead = fractions[before] - fractions[strand]
             if abs(ahead) <= errors[before, 0] + errors[strand, 0]:
                 crossed = hits[before // 2, 1 - before % 2], hits[strand // 2, 1 - strand % 2]
-                ahead = line_order(points, edge, crossed[0], crossed[1])
+                ahead = line_order(points, after, edge, crossed[0], crossed[1])
             if ahead <= 0:
                 break
             walk[slot] = before

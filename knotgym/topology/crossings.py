@@ -1,4 +1,4 @@
-"""Crossings of a closed rope seen from above, and the Gauss code that they spell.
+"""Crossings of ropes seen from above, and the Gauss code that they spell.
 
 Two edges of the closed polyline through the beads (including the closing edge) cross where their
 projections onto the plane z = 0 meet; edges that share a bead never cross. Which edges cross, in
@@ -10,6 +10,8 @@ If two strands have the same height at a crossing, the one visited first counts 
 Strands that overlap exactly for a stretch, as on integer grids but not on ropes, and crossings that
 lie exactly on one another may give a code that isn't planar.
 
+An open rope lacks the closing edge, and all else is the same; several ropes cross each other, too.
+
 Coordinates are in metres. A place along the rope is a fractional bead index: 2.25 is a quarter of
 the way from bead 2 to bead 3.
 
@@ -19,15 +21,22 @@ After a change run `pytest tests/topology/test_crossings.py`.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Array, Ids, InvalidInput, Threads
-from knotgym.topology.crossing_kernel import CROSSING, SAME, Columns, count_hits, scan, scan_rows
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology.crossing_kernel import (
+    CROSSING,
+    SAME,
+    Columns,
+    count_hits,
+    scan_curves,
+    scan_rows,
+)
+from knotgym.topology.gauss import GaussCode, RopesCode
 from knotgym.topology.symmetry import Symmetry
 
 _FINITE = "every x, y, z must be a finite number"
@@ -112,30 +121,82 @@ def find_crossings(points: ArrayLike) -> Crossings:
     Raises:
         InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
-    visits, table = _scan(points)
-    c = Columns(*table.T.copy())
-    position, sign = table[:, [CROSSING.x, CROSSING.y]], c.sign.astype(np.int8)
-    arrays = c.over_place, c.under_place, position, c.over_z, c.under_z, sign
-    for array in arrays:
-        array.setflags(write=False)
-    return Crossings(*arrays, _gauss_code(visits, sign))
+    rope = _checked(points, 2)
+    visits, table, _ = _scan(rope, (np.array([len(rope)]), np.array([True])))
+    arrays = _arrays(table)
+    return Crossings(*arrays, _gauss_code(visits, arrays[-1]))
 
 
-def label(points: ArrayLike, most: int | None = None) -> GaussCode:
+class RopesCrossings(NamedTuple):
+    """The n crossings of several ropes, in order of first visit: fields as of `Crossings`.
+
+    Places are in beads from the first of the first rope on; rope k begins where those before end.
+    """
+
+    over_place: Array
+    under_place: Array
+    position: Array
+    over_z: Array
+    under_z: Array
+    sign: NDArray[np.int8]
+    code: RopesCode
+
+
+def find_ropes_crossings(
+    ropes: Sequence[ArrayLike], closed: bool | Sequence[bool] = True
+) -> RopesCrossings:
+    """Find every crossing of ropes with themselves and with each other.
+
+    Args:
+        ropes: each (beads, 3), at least 3 beads if it is closed and 2 if not, metres.
+        closed: whether the last bead of each rope, or of all, is joined to its first.
+
+    Raises:
+        InvalidInput: a shape is wrong, a coordinate is not finite, or not every rope is said to be
+            open or closed.
+    """
+    each = (closed,) * len(ropes) if isinstance(closed, bool) else tuple(map(bool, closed))
+    if len(each) != len(ropes) or not ropes:
+        raise InvalidInput(
+            f"{len(ropes)} ropes, and whether {len(each)} are closed; expected one or more, and all"
+        )
+    checked = [_checked(one, 2, shut) for one, shut in zip(ropes, each, strict=True)]
+    ends = np.cumsum([len(one) for one in checked])
+    visits, table, owners = _scan(np.concatenate(checked), (ends, np.array(each)))
+    arrays, stops = _arrays(table), np.searchsorted(owners, ends).tolist()
+    walk = [tuple(visits[i:j].tolist()) for i, j in zip([0, *stops], stops, strict=False)]
+    code = RopesCode(tuple(walk), each, GaussCode.letters_of(arrays[-1].tolist()))
+    return RopesCrossings(*arrays, code)
+
+
+@overload
+def label(
+    points: ArrayLike, most: int | None = None, *, closed: Literal[True] = True
+) -> GaussCode: ...
+@overload
+def label(points: ArrayLike, most: int | None = None, *, closed: Literal[False]) -> RopesCode: ...
+def label(
+    points: ArrayLike, most: int | None = None, *, closed: bool = True
+) -> GaussCode | RopesCode:
     """Read the Gauss code of one rope, with chirality.
 
     Args:
-        points: as for `find_crossings`.
+        points: as for `find_crossings`; an open rope has at least 2 beads.
         most: crossings; n points may have n^2 / 2, and the search ends when there are more. No
             limit if None.
+        closed: whether the last bead is joined to the first; the code of an open rope is read from
+            its first bead to its last.
 
     Raises:
         InvalidInput: as `find_crossings`; or there are more crossings.
     """
-    if most is not None and count_hits(_checked(points, 2), most) > most:
+    rope = _checked(points, 2, closed)
+    curve = np.array([len(rope)]), np.array([closed])
+    if most is not None and count_hits(rope, *curve, most) > most:
         raise InvalidInput(f"it has more than {most} crossings")
-    visits, table = _scan(points)
-    return _gauss_code(visits, table[:, CROSSING.sign])
+    visits, table, _ = _scan(rope, curve)
+    code = _gauss_code(visits, table[:, CROSSING.sign])
+    return code if closed else RopesCode((code.visits,), (False,), code.chirality)
 
 
 def label_many(points: ArrayLike) -> list[GaussCode]:
@@ -286,30 +347,41 @@ def same_spot(points: ArrayLike) -> NDArray[np.bool_]:
     return same
 
 
-def _checked(points: ArrayLike, ndim: int) -> Array:
+def _checked(points: ArrayLike, ndim: int, closed: bool = True) -> Array:
     rope = np.ascontiguousarray(points, dtype=np.float64)
     if not rope.flags.writeable:  # numba would compile everything again for a read-only array
         rope = rope.copy()
-    if rope.ndim != ndim or rope.shape[-1] != 3 or rope.shape[-2] < 3:
+    no_rope, least = ("no closed rope", 3) if closed else ("no open rope", 2)
+    if rope.ndim != ndim or rope.shape[-1] != 3 or rope.shape[-2] < least:
         expected = "(beads, 3)" if ndim == 2 else "(ropes, beads, 3)"
         raise InvalidInput(
-            f"no closed rope: the array has shape {rope.shape}; expected {expected} with at least 3"
-            " beads"
+            f"{no_rope}: the array has shape {rope.shape}; expected {expected} with at least"
+            f" {least} beads"
         )
     # products of up to six coordinates are compared, which must neither overflow nor vanish
     reach = np.abs(rope).max(initial=0.0)
     if 1e30 < reach < np.inf or 0 < reach < 1e-30:
         raise InvalidInput(
-            f"no closed rope: coordinates reach {reach:.3g}; scale them to between 1e-30 and 1e30"
+            f"{no_rope}: coordinates reach {reach:.3g}; scale them to between 1e-30 and 1e30"
         )
     return rope
 
 
-def _scan(points: ArrayLike) -> tuple[Ids, Array]:
-    finite, visits, table = scan(_checked(points, 2))
+def _scan(points: Array, curves: tuple[Ids, NDArray[np.bool_]]) -> tuple[Ids, Array, Ids]:
+    finite, visits, table, owners = scan_curves(points, *curves)
     if not finite:
-        raise InvalidInput(f"no closed rope: a coordinate is not finite; {_FINITE}")
-    return visits, table
+        raise InvalidInput(f"no rope: a coordinate is not finite; {_FINITE}")
+    return visits, table, owners
+
+
+def _arrays(table: Array) -> tuple[Array, Array, Array, Array, Array, NDArray[np.int8]]:
+    """Return the columns of crossings that users see, read-only."""
+    c = Columns(*table.T.copy())
+    position, sign = table[:, [CROSSING.x, CROSSING.y]], c.sign.astype(np.int8)
+    arrays = c.over_place, c.under_place, position, c.over_z, c.under_z, sign
+    for array in arrays:
+        array.setflags(write=False)
+    return arrays
 
 
 def _gauss_code(visits: Ids, signs: NDArray[Any]) -> GaussCode:

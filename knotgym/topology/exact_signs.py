@@ -79,14 +79,15 @@ def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
 
 
 @inner
-def line_order(points: np.ndarray, edge: int, one: int, other: int) -> int:
+def line_order(points: np.ndarray, after_of: np.ndarray, edge: int, one: int, other: int) -> int:
     """Return 1 if edge `one` crosses `edge` after edge `other` does, -1 if before, 0 if there.
+
+    Edge k leads from bead k to bead after_of[k].
 
     With B and A the areas that an edge spans with the ends of `edge`, it crosses at the fraction
     B / (B - A), where A and B have other signs, or one is 0.
     """
-    beads = points.shape[0]
-    end, one_end, other_end = (edge + 1) % beads, (one + 1) % beads, (other + 1) % beads
+    end, one_end, other_end = after_of[edge], after_of[one], after_of[other]
     before, after = _area(points, one, one_end, edge), _area(points, one, one_end, end)
     before_2, after_2 = _area(points, other, other_end, edge), _area(points, other, other_end, end)
     total, length = np.empty(4 * 12 * 12), _NONE
@@ -99,10 +100,9 @@ def line_order(points: np.ndarray, edge: int, one: int, other: int) -> int:
 
 
 @inner
-def height_order(points: np.ndarray, one: int, other: int) -> int:
+def height_order(points: np.ndarray, after_of: np.ndarray, one: int, other: int) -> int:
     """Return 1 if edge `one` is above edge `other` where they cross, -1 if below, 0 if as high."""
-    beads = points.shape[0]
-    end, other_end = (one + 1) % beads, (other + 1) % beads
+    end, other_end = after_of[one], after_of[other]
     before, after = _area(points, other, other_end, one), _area(points, other, other_end, end)
     before_2, after_2 = _area(points, one, end, other), _area(points, one, end, other_end)
     # Heights are (z_end B - z_start A) / (B - A), and B - A of the two differ in sign alone.

@@ -8,15 +8,20 @@ Chirality adds one letter per crossing, as in pyknotid: "c" for a positive (righ
 where (d_over x d_under)_z > 0 with d the direction of walking, and "a" for a negative one.
 Reversing the walk changes no letter.
 
-After a change run `pytest tests/topology/test_gauss.py`: each symmetry, applied twice, must be
-nothing.
+The code of an open curve is read from end to end. Nothing tells its two ends apart, and nothing
+orders several curves but the caller; so codes of such `RopesCode`s are compared by `smallest`. As
+text, curves are separated by ";", and whether they are closed is said beside it: "1+,1-;2+,2-".
+
+After a change run `pytest tests/topology/test_gauss.py tests/topology/test_ropes.py`: each
+symmetry, applied twice, must be nothing.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from knotgym.common import InvalidInput
 
@@ -230,6 +235,162 @@ class GaussCode:
         if letters is not None:
             letters = "".join([letters[label - 1] for label in new])
         return GaussCode.trusted(renamed, letters)
+
+
+@dataclass(frozen=True, slots=True)
+class RopesCode:
+    """The Gauss code of one or more curves, each open or closed; compared and hashed by value.
+
+    Attributes:
+        visits: of each curve, +label over, -label under, in the order of its walk. Labels are 1, 2,
+            ... in order of first visit, through one curve after the other.
+        closed: whether each curve is closed.
+        chirality: as in `GaussCode`, with the directions in which the curves are walked; reversing
+            one of two curves that cross changes the letters of their crossings.
+
+    Raises:
+        InvalidInput: as `GaussCode`; or not every curve is said to be open or closed.
+
+    >>> str(RopesCode(((1, -2), (2, -1)), (True, True)))
+    '1+,2-;2+,1-'
+    """
+
+    visits: tuple[tuple[int, ...], ...]
+    closed: tuple[bool, ...]
+    chirality: str | None = None
+
+    def __post_init__(self) -> None:
+        code = GaussCode(tuple(chain(*self.visits)), self.chirality)  # refuses what isn't one
+        object.__setattr__(self, "chirality", code.chirality)  # "" without crossings
+        if len(self.closed) != len(self.visits) or not self.visits:
+            problem = f"{len(self.closed)} curves are said to be open or closed"
+            raise invalid_code(
+                problem, self.visits, "expected one or more, and as many as there are"
+            )
+
+    @classmethod
+    def parse(cls, text: str, closed: bool | Sequence[bool] = True) -> RopesCode:
+        """Parse "1+,2-;2+,1-", with letters or without.
+
+        Args:
+            closed: whether each curve is closed, or all are.
+
+        Raises:
+            InvalidInput: the text is malformed, or as above.
+
+        >>> RopesCode.parse("1-,1+", closed=False).nx
+        1
+        """
+        parts = [part.strip() for part in text.split(";")]
+        code = GaussCode.parse(",".join(filter(None, parts)))
+        lengths = [part.count(",") + 1 if part else 0 for part in parts]
+        each = (closed,) * len(parts) if isinstance(closed, bool) else tuple(closed)
+        return cls(split_visits(code.visits, lengths), each, code.chirality)
+
+    @classmethod
+    def of(cls, code: GaussCode) -> RopesCode:
+        """Return the code of one closed curve."""
+        return cls((code.visits,), (True,), code.chirality)
+
+    def __str__(self) -> str:
+        return ";".join(self.texts)
+
+    @property
+    def texts(self) -> list[str]:
+        """The visits of each curve as text.
+
+        >>> RopesCode.parse("1+,2-;2+,1-").texts
+        ['1+,2-', '2+,1-']
+        """
+        return [",".join([f"{abs(v)}{'+' if v > 0 else '-'}" for v in one]) for one in self.visits]
+
+    @property
+    def nx(self) -> int:
+        """The number of crossings."""
+        return sum(map(len, self.visits)) // 2
+
+    @property
+    def plain(self) -> RopesCode:
+        """The same code without chirality."""
+        return RopesCode(self.visits, self.closed)
+
+    def rope(self, k: int) -> GaussCode:
+        """Return the code of one closed curve alone, without its crossings with the others.
+
+        Raises:
+            InvalidInput: the curve is open.
+
+        >>> str(RopesCode.parse("1+,2-,2+,3-;1-,3+").rope(0))
+        '1-,1+'
+        """
+        if not self.closed[k]:
+            expected = "only a closed curve has a Gauss code that starts anywhere, and a knot type"
+            raise invalid_code(f"curve {k + 1} is open", self.texts[k], expected)
+        own = {*self.visits[k]}
+        letters = self.chirality
+        return GaussCode.relabelled(
+            [visit for visit in self.visits[k] if -visit in own],
+            None if letters is None else dict(enumerate(letters, 1)),
+        )
+
+    def reversed(self, k: int = 0) -> RopesCode:
+        """Return the code with curve k walked the other way.
+
+        >>> str(RopesCode.parse("1+,2-,2+,1-", closed=False).reversed())
+        '1-,2+,2-,1+'
+        """
+        letters = self.chirality
+        if letters is not None:
+            # only where this curve crosses another: both strands of its own crossings turn round
+            own = {*map(abs, self.visits[k])} - {
+                abs(v) for v in self.visits[k] if -v in self.visits[k]
+            }
+            turned = {"a": "c", "c": "a"}
+            letters = "".join(
+                [turned[one] if label in own else one for label, one in enumerate(letters, 1)]
+            )
+        visits = [*self.visits]
+        visits[k] = visits[k][::-1]
+        return self._relabelled(visits, letters)
+
+    def smallest(self) -> RopesCode:
+        """Return the smallest code of these curves, in this order, walked in any direction.
+
+        Closed curves are walked from any place, open ones from either end. Codes are compared by
+        their visits, curve by curve, then by chirality: equal codes are those of one picture.
+
+        >>> str(RopesCode.parse("1+,1-", closed=False).smallest())
+        '1-,1+'
+        """
+        best: list[tuple[RopesCode, tuple[tuple[int, ...], ...]]] = [(self, ())]
+        for k in range(len(self.visits)):
+            # labels of a curve depend on those before it alone, so only the smallest are followed
+            found = [(code, code.visits[: k + 1]) for start, _ in best for code in start._walks(k)]
+            least = min(visits for _, visits in found)
+            best = list({code: visits for code, visits in found if visits == least}.items())
+        return min((code for code, _ in best), key=lambda code: code.chirality or "")
+
+    def _walks(self, k: int) -> Iterator[RopesCode]:
+        """Yield the codes with curve k walked both ways and, if it is closed, from every place."""
+        for code in (self, self.reversed(k)):
+            own = code.visits[k]
+            for start in range(max(len(own), 1) if self.closed[k] else 1):
+                visits = [*code.visits]
+                visits[k] = own[start:] + own[:start]
+                yield code._relabelled(visits, code.chirality)
+
+    def _relabelled(self, visits: Sequence[tuple[int, ...]], letters: str | None) -> RopesCode:
+        named = None if letters is None else dict(enumerate(letters, 1))
+        code = GaussCode.relabelled(chain(*visits), named)
+        return RopesCode(
+            split_visits(code.visits, [*map(len, visits)]), self.closed, code.chirality
+        )
+
+
+def split_visits(visits: tuple[int, ...], lengths: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+    """Cut the visits of all curves into those of each."""
+    walk = iter(visits)
+    return tuple([tuple([next(walk) for _ in range(length)]) for length in lengths])
 
 
 def _numbers(visits: Sequence[int]) -> dict[int, int]:

@@ -35,7 +35,7 @@ from itertools import chain
 
 from knotgym.common import InvalidInput
 from knotgym.topology.diagrams import is_planar
-from knotgym.topology.gauss import GaussCode, invalid_code
+from knotgym.topology.gauss import GaussCode, RopesCode, invalid_code, split_visits
 
 MOST_CROSSINGS = 1000  # of a code that is read
 _MOST_CHARACTERS = 30 * MOST_CROSSINGS
@@ -46,33 +46,47 @@ _LIST = rf"{_NUMBER}(?:,{_NUMBER})*"
 _CROSSING = r"X?[\[(]\d{1,9}(?:,\d{1,9}){3}[\])]"
 _BARE = r"X(?:\d{4}|\d{1,9}(?:,\d{1,9}){3})"  # the Knot Atlas: X1425 or X1,10,2,11
 _LETTERS = {"+": "c", "-": "a"}
+_BRACKETS = {ord("{"): "[", ord("}"): "]"}  # as KnotInfo writes lists
+_PD = re.compile(rf"(?:PD)?[\[(](?:,?{_CROSSING})+,?[\])]|(?:,?{_CROSSING})+")
 _OVER_UNDER = re.compile(r"([OoUu])(\d{1,9})([+-]?)")
 
 
-def pd_code(code: GaussCode) -> list[list[int]]:
+def pd_code(code: GaussCode | RopesCode) -> list[list[int]]:
     """Return [a, b, c, d] for each crossing, in order of labels; see the module for the convention.
 
     Raises:
-        InvalidInput: the code has no chirality.
+        InvalidInput: the code has no chirality; or a curve without crossings is open or beside
+            others, for a PD code can't show it.
 
     >>> pd_code(GaussCode.parse("1-c,2+c,3-c,1+c,2-c,3+c"))
     [[1, 5, 2, 4], [5, 3, 6, 2], [3, 1, 4, 6]]
     """
-    edges = len(code.visits)
-    lower, upper = [0] * code.nx, [0] * code.nx  # edge that leads to the visit; the next leads away
-    for edge, visit in enumerate(code.visits, 1):
-        (upper if visit > 0 else lower)[abs(visit) - 1] = edge
+    ropes = code if isinstance(code, RopesCode) else RopesCode.of(code)
+    if len(ropes.visits) + (not ropes.closed[0]) > 1 and not all(ropes.visits):
+        problem, expected = "a curve passes no crossing", "in a PD code every curve passes one"
+        raise invalid_code(problem, str(ropes), expected, "PD")
+    passed: dict[int, tuple[int, int]] = {}  # visit -> the edges that lead to it and away
+    edge = 1
+    for walk, closed in zip(ropes.visits, ropes.closed, strict=True):
+        first = edge
+        for visit in walk:
+            passed[visit] = edge, edge + 1
+            edge += 1
+        if closed and walk:  # an open curve has an edge behind its last visit
+            passed[walk[-1]] = edge - 1, first
+        edge += not closed
+    signs = GaussCode.trusted(tuple(passed), code.chirality).signs
     crossings = []
-    for below, above, sign in zip(lower, upper, code.signs, strict=True):
-        # The upper strand comes in along `above` and leaves along the next edge. At a positive
-        # crossing it runs from d to b, seen from the lower strand from left to right.
-        ends = [above % edges + 1, above]  # of the upper strand at b and d, if positive
-        b, d = ends if sign > 0 else ends[::-1]
-        crossings.append([below, b, below % edges + 1, d])
+    for label, sign in enumerate(signs, 1):
+        below, onwards = passed[-label]
+        # at a positive crossing the upper strand runs from d to b, seen from the lower strand from
+        # left to right
+        d, b = passed[label] if sign > 0 else passed[label][::-1]
+        crossings.append([below, b, onwards, d])
     return crossings
 
 
-def pd_text(code: GaussCode) -> str:
+def pd_text(code: GaussCode | RopesCode) -> str:
     """Return the PD code as KnotInfo and JSON write it.
 
     >>> pd_text(GaussCode.parse("1+c,1-c"))
@@ -100,51 +114,119 @@ def dt_text(code: GaussCode) -> str:
 def _from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     """Return the Gauss code, with chirality, of a PD code.
 
-    Args:
-        crossings: four edges each, in any order. Edges may have any numbers, such as spherogram's
-            from 0; the base point lies on the one with the lowest.
-
     Raises:
         InvalidInput: it isn't the PD code of a planar diagram of one oriented knot.
 
     >>> _from_pd([[1, 1, 2, 2]]).chiral
     '1-c,1+c'
     """
+    if not crossings:
+        return GaussCode()
+    ropes = _ropes_from_pd(crossings, least=2)
+    if len(ropes.visits) > 1:
+        expected = "expected a knot, not a link of several components"
+        raise invalid_code(f"it shows {len(ropes.visits)} curves", crossings, expected, "PD")
+    return _planar(GaussCode(ropes.visits[0], ropes.chirality), crossings, "PD")
+
+
+def _ropes_from_pd(crossings: Sequence[Sequence[int]], least: int = 1) -> RopesCode:
+    """Return the code, with chirality, of the PD code of several curves; open ones end at the edges
+    that occur once. Curves come in order of their lowest edges.
+
+    Args:
+        crossings: one or more, four edges each, in any order. Edges may have any numbers, such as
+            spherogram's from 0; a closed curve begins on its lowest edge.
+        least: 2 if there may be no ends.
+
+    Raises:
+        InvalidInput: an edge occurs too often or not often enough, or a lower strand is walked
+            backwards.
+
+    >>> str(_ropes_from_pd([[2, 2, 3, 1]]))  # edges 1 and 3 occur once
+    '1+,1-'
+    """
     ends: dict[int, list[tuple[int, int]]] = {}  # edge -> the crossings and corners that it joins
     for crossing, corners in enumerate(crossings):
         for corner, edge in enumerate(corners):
             ends.setdefault(edge, []).append((crossing, corner))
     for edge, joined in ends.items():
-        if len(joined) != 2:
+        if not least <= len(joined) <= 2:
             expected = "every edge joins two corners, so it occurs twice"
             raise invalid_code(f"edge {edge} occurs {len(joined)} times", crossings, expected, "PD")
-    walk: list[tuple[int, int]] = []  # edge that leads to the visit, signed crossing number
-    letters: dict[int, str] = {}
-    crossing, corner = 0, 0  # where the walk arrives: below, at a
-    while len(walk) < 2 * len(crossings) and (not walk or (crossing, corner) != (0, 0)):
-        # Corners are a 0, b 1, c 2, d 3. The walk arrives at one and leaves at the opposite one;
-        # the lower strand may only be walked from a to c.
-        if corner == 2:
-            problem = f"the lower strand of crossing {crossing + 1} is walked backwards"
-            expected = "the first edge of each crossing is where the lower strand comes in"
-            raise invalid_code(problem, crossings, expected, "PD")
-        walk.append((crossings[crossing][corner], (crossing + 1) * (1 if corner else -1)))
-        if corner:
-            # an upper strand that comes in at d runs to b, as the drawing of a positive crossing
-            # has it
-            letters[crossing + 1] = "c" if corner == 3 else "a"
-        corner = (corner + 2) % 4
-        # the edge's other end is where the walk arrives next
-        one, other = ends[crossings[crossing][corner]]
-        crossing, corner = other if one == (crossing, corner) else one
-    if len(walk) < 2 * len(crossings):
-        problem = f"one walk passes {len(walk)} of {2 * len(crossings)} visits"
-        expected = "expected a knot, not a link of several components"
+
+    visits, closed, seen, letters = (
+        list[tuple[int, ...]](),
+        list[bool](),
+        set[int](),
+        dict[int, str](),
+    )
+    for edge in sorted(ends):
+        if edge in seen:
+            continue
+        walk, shut = _followed(crossings, ends, ends[edge][0])
+        if not shut:  # from an end on
+            walk, _ = _followed(crossings, ends, _backwards(walk)[0])
+        walk = _oriented(walk, crossings, shut)
+        # an upper strand that comes in at d runs to b, as the drawing of a positive crossing has it
+        letters |= {k + 1: "c" if corner == 3 else "a" for k, corner in walk if corner}
+        seen |= {crossings[k][corner] for k, corner in (*walk, *_backwards(walk))}
+        visits.append(tuple([(k + 1) * (1 if corner else -1) for k, corner in walk]))
+        closed.append(shut)
+    code = GaussCode.relabelled(chain(*visits), letters)
+    return RopesCode(split_visits(code.visits, [*map(len, visits)]), tuple(closed), code.chirality)
+
+
+_Walk = list[tuple[int, int]]  # crossings and the corners at which they are reached
+
+
+def _followed(
+    crossings: Sequence[Sequence[int]], ends: dict[int, _Walk], start: tuple[int, int]
+) -> tuple[_Walk, bool]:
+    """Follow a curve from where it reaches a crossing; also return whether it closes.
+
+    Corners are a 0, b 1, c 2, d 3. A walk reaches one and leaves at the opposite one.
+    """
+    walk, visit = _Walk(), start
+    while True:
+        walk.append(visit)
+        leaves = visit[0], (visit[1] + 2) % 4
+        edge = ends[crossings[leaves[0]][leaves[1]]]
+        onwards = [one for one in edge if one != leaves]
+        if not onwards or onwards[0] == start:
+            return walk, bool(onwards)
+        visit = onwards[0]
+
+
+def _backwards(walk: _Walk) -> _Walk:
+    return [(crossing, (corner + 2) % 4) for crossing, corner in reversed(walk)]
+
+
+def _oriented(walk: _Walk, crossings: Sequence[Sequence[int]], shut: bool) -> _Walk:
+    """Walk a curve as its lower strands say, and otherwise as its edges are numbered.
+
+    Raises:
+        InvalidInput: its lower strands contradict each other.
+    """
+
+    def _edges(walk: _Walk) -> list[int]:
+        return [crossings[crossing][corner] for crossing, corner in walk]
+
+    below = [corner for _, corner in walk if corner in (0, 2)]
+    if shut:  # from the lowest edge on, whatever the numbers are
+        start = _edges(walk).index(min(_edges(walk)))
+        walk = walk[start:] + walk[:start]
+    back = _backwards(walk)
+    if shut:
+        back = back[-1:] + back[:-1]
+        start = _edges(back).index(min(_edges(back)))
+        back = back[start:] + back[:start]
+    if below[:1] == [2] or (not below and _edges(back)[:2] < _edges(walk)[:2]):
+        walk = back
+    if backwards := [crossing for crossing, corner in walk if corner == 2]:
+        problem = f"the lower strand of crossing {backwards[0] + 1} is walked backwards"
+        expected = "the first edge of each crossing is where the lower strand comes in"
         raise invalid_code(problem, crossings, expected, "PD")
-    # the base point is on the edge of the lowest number, whatever the numbers are
-    start = walk.index(min(walk)) if walk else 0
-    visits = [visit for _, visit in walk[start:] + walk[:start]]
-    return _planar(GaussCode.relabelled(visits, letters), crossings, "PD")
+    return walk
 
 
 def _from_dt(partners: Sequence[int]) -> GaussCode:
@@ -182,7 +264,7 @@ def _parse_code(text: str) -> GaussCode:
     if len(text) > _MOST_CHARACTERS:
         raise invalid_code(f"{len(text)} characters are too long", text, _SIZE, "Gauss, PD or DT")
     text = text.strip().rstrip(";")
-    tight = text.translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
+    tight = text.translate(_BRACKETS)
     # Spaces beside punctuation mean nothing; those that are left part numbers, as commas do.
     tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", tight)
     tight = re.sub(r"\s+", ",", tight)
@@ -222,6 +304,35 @@ def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
             with InvalidInput.instead(f"line {first}", InvalidInput):
                 yield _parse_code("\n".join(held))
             held, opened = [], 0
+
+
+def parse_ropes(text: str, closed: bool | Sequence[bool] = True) -> RopesCode:
+    """Read the code of several curves, or of open ones: our notation, a PD code, or O1U2;U1O2.
+
+    Args:
+        closed: whether each curve is closed, or all are; a PD code says so itself.
+
+    Raises:
+        InvalidInput: it can't be read, is too large, or a DT code, which has no ends.
+
+    >>> [str(parse_ropes(text)) for text in ("O1U2;U1O2", "X[2,3,1,4],X[4,1,3,2]")]
+    ['1+,2-;1-,2+', '1+,2-;2+,1-']
+    """
+    tight = re.sub(r"\s+", "", text.strip().rstrip(";").translate(_BRACKETS))
+    if len(text) > _MOST_CHARACTERS:
+        raise invalid_code(f"{len(text)} characters are too long", text, _SIZE)
+    if _PD.fullmatch(tight):
+        numbers = _numbers(tight)
+        return _ropes_from_pd([numbers[k : k + 4] for k in range(0, len(numbers), 4)])
+    if tight[:1] in ("[", "(", "D", "P", "X"):
+        expected = "expected 1+,2-;1-,2+ or O1U2;U1O2 or a PD code; a DT code has no ends"
+        raise invalid_code("it can't be read", text, expected)
+    if tight[:1] in ("O", "o", "U", "u"):
+        tight = _OVER_UNDER.sub(
+            lambda own: f"{own[2]}{'+' if own[1] in 'Oo' else '-'}{_LETTERS.get(own[3], '')},",
+            tight,
+        )
+    return RopesCode.parse(tight.replace(",;", ";").rstrip(","), closed)
 
 
 def _numbers(text: str) -> list[int]:
@@ -281,7 +392,7 @@ _READERS: tuple[tuple[re.Pattern[str], Callable[[str, str], GaussCode | None]], 
         # O1-U2-O3-U1-O2-U3- or O1U2O3U1O2U3
         (r"[OoUu].*", re.DOTALL, lambda _, text: _from_over_under(text)),
         # PD codes of KnotInfo, with outer brackets or without, of KnotTheory and of Python
-        (rf"(?:PD)?[\[(](?:,?{_CROSSING})+,?[\])]|(?:,?{_CROSSING})+", 0, _read_crossings),
+        (_PD.pattern, 0, _read_crossings),
         (rf"{_BARE}(?:,{_BARE})*", 0, _read_bare),
         # DT codes of KnotInfo, also bare numbers, of KnotTheory and of SnapPy; signed numbers
         (rf"(?:DT(?:Code)?:?)?[\[(]*{_LIST}[\])]*", 0, _read_numbers),
