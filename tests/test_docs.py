@@ -227,7 +227,7 @@ def test_tables_of_columns_are_those_of_the_schemas() -> None:
 def test_the_episode_file_is_as_its_page_says(minari: Path) -> None:
     said = tables(DOCS / "formats/episodes.md")
     with h5py.File(minari / ID / "data/episodes.h5") as file:
-        own = {"advice", "states_sha256"}  # of expert_action; of states that aren't bundled
+        own = {"states_sha256"}  # of states that aren't bundled
         assert names(said["Attributes of the file"]) - own == {*file.attrs} - own
     with h5py.File(minari / ID / "data/main_data.hdf5") as file:
         assert names(said["Attributes of an episode"]) == {*file["episode_0"].attrs}

@@ -73,6 +73,9 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
         counts = {} if entry else locate(named).counts(sample)
         said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         progress.say(f"{named}: {entry or said}: no faults")
+        opened = [] if entry else map(open_episodes, locate(named).episodes)
+        if claims := sorted({name for one in opened for name in one.episodes.claims()}):
+            progress.say(f"claimed, as nothing can make them again: {', '.join(claims)}")
 
 
 def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Progress) -> None:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import h5py
@@ -53,6 +54,8 @@ class Column(NamedTuple):
             None for a column that can't be computed again.
         padded: whether the first dimension of a row may differ between tables that are appended;
             shorter ones are padded with zeros.
+        stepped: whether the engine makes the values again.
+        unknown: what rows hold that have no value; None for what `no_value` says of the type.
     """
 
     name: str
@@ -66,6 +69,15 @@ class Column(NamedTuple):
     of: str = ""
     derived: Callable[[Any], Any] | None = None
     padded: bool = False
+    stepped: bool = False
+    unknown: Any = None
+
+    @property
+    def origin(self) -> str:
+        """Where values come from: "stepped" by an engine, "derived", or "given", which nothing can
+        make again.
+        """
+        return "stepped" if self.stepped else "derived" if self.derived else "given"
 
     @property
     def numpy(self) -> Any:
@@ -73,14 +85,16 @@ class Column(NamedTuple):
         return np.str_ if self.dtype == "text" else self.dtype
 
     @property
-    def _unknown(self) -> Any:
-        """What rows hold that have no value: "", NaN, -1, False; None if files refuse that."""
-        if self.dtype == "text":
-            return ""
+    def no_value(self) -> Any:
+        """What rows hold that have no value: `unknown`, or else "", NaN or -1; None if each number
+        of the type is a value, or files refuse that one.
+        """
+        if self.unknown is not None or self.dtype == "text":
+            return "" if self.unknown is None else self.unknown
         kind = np.dtype(self.dtype).kind
-        value = {"f": float("nan"), "i": -1}.get(kind, 0)
-        refused = self.finite if kind == "f" else self.least is not None and value < self.least
-        return None if refused else value
+        if kind == "f":
+            return None if self.finite else float("nan")
+        return -1 if kind == "i" and (self.least is None or self.least <= -1) else None
 
     def _require_values(self, values: NDArray[Any]) -> None:
         """Raise InvalidInput if text has control characters or numbers are out of range."""
@@ -97,6 +111,10 @@ class Column(NamedTuple):
             raise InvalidInput(f"column {self.name} holds {least}")
 
 
+# changes a file's items by name, and its attributes, in place; an item may become an array
+Upgrade = Callable[[dict[str, Any], dict[str, Any]], None]
+
+
 class Schema(NamedTuple):
     """Schema of a table.
 
@@ -106,12 +124,14 @@ class Schema(NamedTuple):
         row: what one row is, for the documentation.
         sizes: values of the words in the columns' shapes. Words that have none yet get theirs from
             the first table or file that is checked against the schema.
+        own: how names of columns begin that users add to tables, see `with_own`; "" for none.
     """
 
     name: str
     columns: tuple[Column, ...]
     row: str = ""
     sizes: tuple[tuple[str, int], ...] = ()
+    own: str = ""
 
     def sized(self, **sizes: int) -> "Schema":
         """Return the schema with values for words in shapes."""
@@ -124,15 +144,41 @@ class Schema(NamedTuple):
             raise InvalidInput(f"no column {', '.join(sorted(unknown))} in table {self.name!r}")
         columns = tuple(c for c in self.columns if c.name in names)
         words = {word for column in columns for word in column.shape}
-        return Schema(self.name, columns, self.row, tuple(s for s in self.sizes if s[0] in words))
+        sizes = tuple(size for size in self.sizes if size[0] in words)
+        return self._replace(columns=columns, sizes=sizes)
 
     def without(self, *names: str) -> "Schema":
         """Return the schema without some of its columns, if it has them."""
         return self.only(*(column.name for column in self.columns if column.name not in names))
 
+    @property
+    def names(self) -> list[str]:
+        """The names of the columns."""
+        return [column.name for column in self.columns]
+
+    def extended(self, *columns: Column) -> "Schema":
+        """Return the schema with more columns, unless it has them."""
+        known = {column.name for column in self.columns}
+        more = tuple(column for column in columns if column.name not in known)
+        return self._replace(columns=(*self.columns, *more))
+
+    def with_own(self, columns: Mapping[str, NDArray[Any]]) -> "Schema":
+        """Return the schema with the columns that users added to these."""
+        return self.extended(
+            *(
+                Column(name, _type_name(values.dtype), values.shape[1:], optional=True, of="state")
+                for name, values in columns.items()
+                if self.own and name.startswith(self.own)
+            )
+        )
+
     def derive(self, origin: Any) -> dict[str, Any]:
         """Compute the derived columns of a row, by name, from what the row is made of."""
-        return {c.name: c.derived(origin) for c in self.columns if c.derived}
+        return {name: of(origin) for name, of in self.derived().items()}
+
+    def derived(self) -> dict[str, Callable[[Any], Any]]:
+        """Return the functions of the derived columns by name."""
+        return {c.name: c.derived for c in self.columns if c.derived}
 
     def _shape(self, column: Column) -> tuple[int, ...]:
         """Return the shape of a row of a column; all of its words must have values."""
@@ -226,14 +272,45 @@ class Table(Mapping[str, NDArray[Any]]):
 
     @classmethod
     def joined(cls, tables: Sequence["Table"]) -> "Table":
-        """Append tables of one schema; optional columns are kept if all of them have them.
+        """Append tables of one schema; of optional columns that some lack they have `no_value`.
 
         Raises:
-            InvalidInput: there is no table, or their schemas or sizes differ.
+            InvalidInput: there is no table, their schemas or sizes differ, or some lack a column
+                that is required or has no value for unknown.
         """
-        parts = _alike(tables)
+        parts = Table.alike(tables)
         columns = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
         return cls(parts[0].schema, columns)
+
+    @staticmethod
+    def alike(tables: Sequence["Table"]) -> "list[Table]":
+        """Return tables with the columns that any has, padded ones as wide as the widest.
+
+        Raises:
+            InvalidInput: there is no table, types or sizes differ, or a column that some tables
+                lack is required or has no value for unknown.
+        """
+        if not tables:
+            raise InvalidInput("no table to append")
+        every = {c.name: c for table in tables for c in table.schema.columns}
+        required = {name for name, column in every.items() if not column.optional}
+        if lacking := sorted(name for name in required if any(name not in one for one in tables)):
+            raise InvalidInput(f"column {', '.join(lacking)} is missing in some tables to append")
+        sizes = dict(pair for table in reversed(tables) for pair in table.schema.sizes)
+        schema = tables[0].schema._replace(columns=(*every.values(),)).sized(**sizes)
+        words = {c.name: str(c.shape[0]) for c in every.values() if c.padded}
+        with InvalidInput.instead("tables to append differ", InvalidInput):
+            tables = [
+                table.filled(schema) if len(table) < len(every) else table for table in tables
+            ]
+            most = {name: max(table[name].shape[1] for table in tables) for name in words}
+            schema = schema.sized(**{words[name]: width for name, width in most.items()})
+            return [
+                Table(
+                    schema, {**table, **{name: padded(table[name], most[name], 1) for name in most}}
+                )
+                for table in tables
+            ]
 
     def filled(self, schema: Schema) -> "Table":
         """Add the optional columns of a schema that are lacking, so that the two can be appended.
@@ -242,10 +319,13 @@ class Table(Mapping[str, NDArray[Any]]):
             InvalidInput: a file can't say that such a column has no values.
         """
         lacking = [c for c in schema.columns if c.optional and c.name not in self]
-        if never := [c.name for c in lacking if c._unknown is None]:
-            raise InvalidInput(f"column {', '.join(never)} is missing")
+        if never := [c.name for c in lacking if c.no_value is None]:
+            raise InvalidInput(
+                f"column {', '.join(never)} is missing, and none of its values says that it is"
+                " unknown"
+            )
         shape = schema.sized(**dict(self.schema.sizes))._shape
-        added = {c.name: np.full((self.rows, *shape(c)), c._unknown, c.numpy) for c in lacking}
+        added = {c.name: np.full((self.rows, *shape(c)), c.no_value, c.numpy) for c in lacking}
         names = {*self, *added}
         return Table(schema._replace(sizes=()).only(*names), {**self, **added})
 
@@ -346,7 +426,7 @@ def _fixed(text: str) -> NDArray[Any]:
 
 
 def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
-    parts = _alike(parts)
+    parts = Table.alike(parts)
     schema, rows = parts[0].schema, sum(part.rows for part in parts)
     group = file.require_group(schema.name) if schema.name else file
     for c in schema.columns:
@@ -371,7 +451,11 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
 
 
 def read_tables(
-    path: str | os.PathLike[str], *schemas: Schema, format: str, version: int = 1
+    path: str | os.PathLike[str],
+    *schemas: Schema,
+    format: str,
+    version: int = 1,
+    upgrades: Mapping[int, Upgrade] = MappingProxyType({}),
 ) -> tuple[list[Table], dict[str, Any]]:
     """Read tables from a file and check them against their schemas.
 
@@ -379,6 +463,7 @@ def read_tables(
         path: path of the file.
         schemas: the tables to read; columns that they don't list are left alone.
         format, version: what the file must say it is.
+        upgrades: earlier version -> function that makes its content that of the next version.
 
     Returns:
         One table per schema, and the file's attributes. Contiguous columns are read-only and mapped
@@ -392,18 +477,29 @@ def read_tables(
     try:
         with h5py.File(path, "r", locking=False) as file:
             attributes = {name: _attribute(file, name) for name in file.attrs}
-            found = tuple(attributes.pop(name, None) for name in _HEADER)
-            if found != (format, version) or type(found[1]) is not int:
-                raise InvalidFile(
-                    f"{path} has format {found[0]!r} version {found[1]!r}; this version reads"
-                    f" {format!r} version {version}"
-                )
+            name, found = (attributes.pop(name, None) for name in _HEADER)
             items: dict[str, Any] = {}
             file.visititems(items.__setitem__)  # follows no links but hard ones
+            while name == format and type(found) is int and found in upgrades:
+                upgrades[found](items, attributes)
+                found += 1
+            if (name, found) != (format, version) or type(found) is not int:
+                raise InvalidFile(
+                    f"{path} has format {name!r} version {found!r}; this version reads"
+                    f" {format!r} version {version}"
+                )
             tables: list[Table] = []
             sizes: dict[str, int] = {}
             for schema in schemas:
-                names = {c: f"{schema.name}/{c.name}".lstrip("/") for c in schema.columns}
+                within = f"{schema.name}/".lstrip("/")
+                schema = schema.with_own(
+                    {
+                        name.removeprefix(within): item
+                        for name, item in items.items()
+                        if name.startswith(within) and isinstance(item, h5py.Dataset)
+                    }
+                )
+                names = {c: within + c.name for c in schema.columns}
                 columns = {c.name: _read(c, items[n], path) for c, n in names.items() if n in items}
                 tables.append(Table(schema.sized(**{**sizes, **dict(schema.sizes)}), columns))
                 sizes |= dict(tables[-1].schema.sizes)
@@ -441,6 +537,8 @@ def _attribute(file: h5py.HLObject, name: str, is_json: bool = True) -> Any:
 
 def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[Any]:
     """Return the values of a column, all checked but for their shape: mapped if contiguous."""
+    if isinstance(data, np.ndarray):  # an upgrade made it
+        return data
     if not isinstance(data, h5py.Dataset) or data.shape is None:
         raise InvalidInput(f"column {column.name} should be a dataset")
     if h5py.check_enum_dtype(data.dtype) is not None or data.dtype.hasobject:
@@ -478,29 +576,6 @@ def require_stored(data: h5py.Dataset, name: str) -> None:
     stored = min(data.id.get_storage_size(), os.path.getsize(data.file.filename))
     if size > _SMALL + _MOST_EXPANDED * stored:
         raise InvalidInput(f"column {name} declares {size} bytes and stores {stored}")
-
-
-def _alike(tables: Sequence[Table]) -> list[Table]:
-    """Return tables with the columns that all have, padded ones as wide as the widest.
-
-    Raises:
-        InvalidInput: there is no table, a required column is missing, or types or sizes differ.
-    """
-    if not tables:
-        raise InvalidInput("no table to append")
-    names = [name for name in tables[0] if all(name in table for table in tables)]
-    required = {c.name for table in tables for c in table.schema.columns if not c.optional}
-    if lacking := sorted(required - {*names}):
-        raise InvalidInput(f"column {', '.join(lacking)} is missing in some tables to append")
-    schema = tables[0].schema.only(*names)
-    words = {c.name: str(c.shape[0]) for c in schema.columns if c.padded}
-    most = {name: max(table[name].shape[1] for table in tables) for name in words}
-    schema = schema.sized(**{words[name]: width for name, width in most.items()})
-    with InvalidInput.instead("tables to append differ", InvalidInput):
-        return [
-            Table(schema, {**table, **{name: padded(table[name], most[name], 1) for name in most}})
-            for table in tables
-        ]
 
 
 def padded(values: NDArray[Any], width: int, axis: int = -1) -> NDArray[Any]:

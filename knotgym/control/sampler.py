@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 
 from knotgym.common import Counts, Ids, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, Shown
+from knotgym.datasets import EPISODES, LABELS, MACROS, RECORDED, STEPS, Episodes, Shown
 from knotgym.envs import EpisodeBatch, TaskConfig
 
 _CODES = ("visits", "signs")  # columns that widen with the longest code
-_PULLED = frozenset({"bead", "force", "action", "expert_action", *MACROS})
-_OUTCOMES = ("reward", "terminated", "truncated", "applied_fraction")
 
 # Of speed and memory alone: no result depends on these three. `python benchmarks/collect.py`
 # measures what they are about.
@@ -45,12 +43,19 @@ class Pulls(NamedTuple):
         macros: int64 (n, 4), the macro-action that each pull is part of: whether it is the first
             pull, then the bead, target and side; zeros where it is part of none. None if the policy
             doesn't say.
+        given: other columns of the pulls, by their names in the table of steps, such as how likely
+            they were: (n, ...) each. None for none.
     """
 
     ids: Ids
     beads: NDArray[np.int64]
     forces: NDArray[np.float32]
     macros: NDArray[np.int64] | None = None
+    given: Mapping[str, NDArray[Any]] | None = None
+
+
+# a user's own columns: (batch, ids) -> name -> values (n, ...) of the states that n lanes are in
+Columns = Callable[[EpisodeBatch, Ids], Mapping[str, NDArray[Any]]]
 
 
 class Player(Protocol):
@@ -138,6 +143,7 @@ def rollouts(
     keep: Schema | None = STEPS,
     attempt: int = 0,
     adviser: Policy | None = None,
+    columns: Columns | None = None,
 ) -> Episodes:
     """Play an episode for every seed, and return them in that order.
 
@@ -150,6 +156,7 @@ def rollouts(
         keep: columns of steps to keep; None for none.
         attempt: changes the policy's random draws, not the starts.
         adviser: policy whose pull is stored at every state as `expert_action`, and not made.
+        columns: computes further columns of each state, stored as `info/NAME`.
 
     Raises:
         InvalidPolicy: the policy doesn't fit the task, or its pulls aren't valid.
@@ -159,13 +166,13 @@ def rollouts(
     if not todo:
         seeds, todo = [0], 1  # a batch has at least one rope; its episode isn't returned
         # its columns have the widths of the task, which only a batch knows
-        empty = rollouts(policy, task, seeds, keep=keep, attempt=attempt, adviser=adviser)
-        return empty.select([])
+        more: dict[str, Any] = {"keep": keep, "attempt": attempt, "adviser": adviser}
+        return rollouts(policy, task, seeds, columns=columns, **more).select([])
     most = _MOST_BYTES // ((task.horizon + 1) * (12 * task.beads + 256))  # all steps kept
     batch = EpisodeBatch(task, max(1, min(lanes, todo, most)))
     coming = _Coming(batch, seeds)
     player = policy.player(batch)
-    record = _Record(batch, keep, todo, advised=adviser is not None)
+    record = _Record(batch, keep, todo, adviser is not None, columns)
     advice = None if adviser is None else _Advice(adviser.player(batch), batch)
     while True:
         free = np.flatnonzero(batch.number < 0)
@@ -219,7 +226,8 @@ def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pull
             " int64 (n,), forces float32 (n, 3) in [-1, 1]"
         )
     macros = None if pulls.macros is None else pulls.macros.copy()
-    return Pulls(pulls.ids.copy(), pulls.beads.copy(), pulls.forces.copy(), macros)
+    given = {name: np.array(values) for name, values in (pulls.given or {}).items()}
+    return Pulls(pulls.ids.copy(), pulls.beads.copy(), pulls.forces.copy(), macros, given)
 
 
 class _Coming:
@@ -297,18 +305,21 @@ class _Advice:
 class _Record:
     """What is kept of the episodes under way, in arrays (lanes, horizon + 1, ...)."""
 
-    def __init__(self, batch: EpisodeBatch, keep: Schema | None, todo: int, advised: bool) -> None:
-        self._batch = batch
-        names = [column.name for column in keep.columns] if keep is not None else []
+    def __init__(
+        self,
+        batch: EpisodeBatch,
+        keep: Schema | None,
+        todo: int,
+        advised: bool,
+        columns: Columns | None,
+    ) -> None:
+        self._batch, self._own = batch, columns if keep is not None else None
+        names = keep.names if keep is not None else []
         if not advised:
-            names = [name for name in names if name != "expert_action"]
+            names = [name for name in names if name not in LABELS]
         self._schema = self._sized((keep or STEPS).only(*names))
         self._states = {c.name for c in self._schema.columns if c.of == "state"}
-        if unknown := {*names} - self._states - _PULLED - {*_OUTCOMES}:
-            raise InvalidInput(
-                f"nothing fills column {', '.join(sorted(unknown))} of steps: a column of a state"
-                " is `derived`, one of a pull is filled in knotgym/control/sampler.py"
-            )
+        self._unfilled: set[str] | None = {*names}  # until the first pull was made
         self._episodes = self._sized(EPISODES if "observation" in names else RECORDED)
         length = batch.task.horizon + 1
         self._steps = {
@@ -328,31 +339,44 @@ class _Record:
 
     def before(self, pulls: Pulls, advised: Pulls | None) -> None:
         """Keep the pulls that will be made, and those that an adviser would make."""
-        self._put("bead", pulls.ids, pulls.beads)
-        self._put("force", pulls.ids, pulls.forces)
+        if unknown := {*(pulls.given or ())} - {*STEPS.names}:
+            raise InvalidPolicy(f"no column {', '.join(sorted(unknown))} of steps for its pulls")
+        chosen: dict[str, NDArray[Any]] = {"bead": pulls.beads, "force": pulls.forces}
+        chosen |= pulls.given or {}
+        if pulls.macros is not None:
+            chosen |= dict(zip(MACROS, pulls.macros.T, strict=True))
         for name, own in (("action", pulls), ("expert_action", advised)):
             if name in self._steps and own is not None:
-                actions = self._batch.simulation.actions(own.beads, own.forces, own.ids)
-                self._put(name, own.ids, actions)
-        if pulls.macros is None:
-            # a player always says, or never does
-            for name in MACROS:
-                self._steps.pop(name, None)
-        else:
-            for name, values in zip(MACROS, pulls.macros.T, strict=True):
-                self._put(name, pulls.ids, values)
+                chosen[name] = self._batch.simulation.actions(own.beads, own.forces, own.ids)
+        for name, values in chosen.items():
+            self._put(name, pulls.ids, values)
 
     def after(self, ids: Ids, rewards: NDArray[np.float64], *ends: NDArray[np.bool_]) -> None:
         """Keep what came of the pulls, and the states that they led to."""
         batch = self._batch
         self._success[ids] |= batch.successes(ids)
         self._totals[ids] += rewards
-        given = (rewards, *ends, batch.applied_shares[ids])
-        for name, values in zip(_OUTCOMES, given, strict=True):
+        names = "reward", "terminated", "truncated", "applied_fraction"
+        for name, values in zip(names, (rewards, *ends, batch.applied_shares[ids]), strict=True):
             # The batch counts the pull already, and what came of it belongs to the state that it
             # was made in.
             self._put(name, ids, values, -1)
         self._see(ids)
+        if self._unfilled is not None:
+            self._drop(self._unfilled)
+            self._unfilled = None
+
+    def _drop(self, unfilled: set[str]) -> None:
+        """Drop what no policy gives, such as macro-actions; other columns must be filled."""
+        drop = {c.name for c in self._schema.columns if c.optional and c.origin == "given"}
+        if lacking := unfilled - drop:
+            raise InvalidInput(
+                f"nothing fills column {', '.join(sorted(lacking))} of steps: a column of a state"
+                " is `derived`, one of a pull is filled in knotgym/control/sampler.py, or given by"
+                " a policy, see `Pulls`"
+            )
+        for name in unfilled:
+            del self._steps[name]
 
     def end(self, index: int, policy: str, planned: int) -> None:
         """Copy the rows of the episode in a lane, which is over."""
@@ -388,12 +412,13 @@ class _Record:
         # goals were kept at the width that codes had then; all get the final one
         width = 2 * self._batch.signs.shape[1]
         rows: dict[str, Any] = {}
-        if unknown := {c.name for c in self._episodes.columns} - {*self._rows[0]}:
+        if unknown := {*self._episodes.names} - {*self._rows[0], *self._episodes.derived()}:
             raise InvalidInput(
                 f"nothing fills column {', '.join(sorted(unknown))} of episodes: it is filled in"
                 " knotgym/control/sampler.py"
             )
-        for column in self._episodes.columns:
+        stored = self._sized(self._episodes.without(*self._episodes.derived()))
+        for column in stored.columns:
             values = [row[column.name] for row in self._rows]
             if column.name == "goal_visits":
                 values = [padded(value, width) for value in values]
@@ -406,7 +431,9 @@ class _Record:
                 full = self._steps[column.name].shape[2]
                 parts = [padded(part, full) for part in parts]
             steps[column.name] = np.concatenate(parts)
-        made = Episodes(Table(self._sized(self._episodes), rows), Table(self._sized(schema), steps))
+        made = Episodes(Table(stored, rows), Table(self._sized(schema), steps))
+        own = {name: of(made) for name, of in self._episodes.derived().items()}
+        made = made._replace(episodes=Table(self._sized(self._episodes), {**made.episodes, **own}))
         # columns as narrow as the longest code that occurs, so that a file doesn't depend on the
         # batch
         return Episodes.merged([made])
@@ -418,6 +445,8 @@ class _Record:
 
     def _see(self, ids: Ids) -> None:
         batch = self._batch
+        if self._own is not None:
+            self._see_own(self._own, ids)
         if not self._states:
             return
         codes = (batch.visits[ids], batch.signs[ids], batch.crossings[ids])
@@ -427,6 +456,28 @@ class _Record:
                 self._steps[name] = padded(self._steps[name], values.shape[1])
             self._put(name, ids, values)
 
+    def _see_own(self, columns: Columns, ids: Ids) -> None:
+        """Keep a user's own columns of the states in lanes."""
+        with InvalidInput.instead("columns of your own", Exception):
+            given = columns(self._batch, ids.copy())
+            found = {f"{STEPS.own}{name}": np.asarray(values) for name, values in given.items()}
+            for name, values in found.items():
+                if name not in self._steps:  # each, at the first state
+                    self._add(name, values)
+                self._put(name, ids, values)
+
+    def _add(self, name: str, values: NDArray[Any]) -> None:
+        if not name.removeprefix(STEPS.own).isidentifier() or values.dtype.kind not in "biuf":
+            raise InvalidInput(
+                f"{name} should be a name of Python's, and numbers, got {values!r:.80}"
+            )
+        self._schema = self._schema.extended(*STEPS.with_own({name: values}).only(name).columns)
+        self._states.add(name)
+        lanes = self._batch.count, self._batch.task.horizon + 1
+        self._steps[name] = np.zeros((*lanes, *values.shape[1:]), values.dtype)
+
     def _put(self, name: str, ids: Ids, values: Any, back: int = 0) -> None:
         if name in self._steps:
             self._steps[name][ids, self._batch.steps[ids] + back] = values
+            if self._unfilled:
+                self._unfilled.discard(name)

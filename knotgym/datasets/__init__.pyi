@@ -9,6 +9,7 @@ from .episode_dataset import write_episodes as write_episodes
 from .episode_verification import expanded as expanded
 from .episode_verification import show_episodes as show_episodes
 from .episodes import EPISODES as EPISODES
+from .episodes import LABELS as LABELS
 from .episodes import MACROS as MACROS
 from .episodes import PULLS as PULLS
 from .episodes import RECORDED as RECORDED

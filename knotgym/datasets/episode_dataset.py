@@ -13,9 +13,9 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
     rope        fingerprint of the rope model
     versions    package -> version that wrote the file
     digest      SHA-256 of starts and pulls, the same in both forms
-    advice      SHA-256 of `expert_action`, where it is stored: no replay recomputes it
-    expansion   SHA-256 of all columns that stepping gives, but plans and advice; a recording has
-                it from the columns that it was made of
+    given       column that nothing can make again -> its SHA-256
+    expansion   SHA-256 of the columns that a replay gives; a recording has it from the columns that
+                it was made of
     metadata    of the Minari dataset, see `MinariMetadata`; left out in single files
     run         facts about the run that made it, such as its configuration; may be left out
     selection   the selections that it went through, oldest first; may be left out
@@ -24,9 +24,9 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -40,11 +40,11 @@ from knotgym import (
     envs,  # OpenCV and the engines, which few readers need, on first use
 )
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
-from knotgym.datasets.episodes import FORMS, NOT_STEPPED, PULLS, STORED_PULLS, Episodes, fitted
+from knotgym.datasets.episodes import FORMS, PULLS, STORED_PULLS, Episodes, fitted
 from knotgym.envs import TaskConfig
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 
-FORMAT, VERSION = "knotgym-episodes", 2
+FORMAT, VERSION = "knotgym-episodes", 3
 FILE = "episodes.h5"
 _DRAWN = 1024  # starts that are drawn together
 MAIN = "main_data.hdf5"  # Minari's
@@ -55,6 +55,15 @@ _READ = (
     *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
     *("image_size", "views", "depth", "layout", "camera", "appearance", "renderer"),
 )
+
+
+def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
+    """Upgrade a file of version 2, in which one column alone was a claim, `expert_action`."""
+    advice = attributes.pop("advice", None)
+    attributes["given"] = {"steps/expert_action": advice} if advice else {}
+
+
+_UPGRADES = {2: _to_3}
 
 
 @dataclass(frozen=True)
@@ -99,7 +108,7 @@ class EpisodeDataset:
         return {k: self.attributes[k] for k in _KEPT_FACTS if k in self.attributes}
 
     @property
-    def digests(self) -> dict[str, str]:
+    def digests(self) -> dict[str, Any]:
         """The digests of its episodes as they are, by the names of the file's attributes."""
         return _digests_of([self.episodes])
 
@@ -187,14 +196,15 @@ def open_episodes(source: Any) -> EpisodeDataset:
     path = episode_file(source)
     if path.name == MAIN:
         raise InvalidFile(f"{path} was recorded by Minari: it can be loaded, but not played again")
-    _, attributes = common.read_tables(path, format=FORMAT, version=VERSION)
+    read = partial(common.read_tables, format=FORMAT, version=VERSION, upgrades=_UPGRADES)
+    _, attributes = read(path)
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
     with InvalidFile.instead(f"{path} has no valid task", KnotgymError, KeyError, TypeError):
         task = common.from_json(TaskConfig, attributes["task"])
     sized = [schema.sized(beads=task.beads) for schema in schemas]
-    (rows, steps), _ = common.read_tables(path, *sized, format=FORMAT, version=VERSION)
+    (rows, steps), _ = read(path, *sized)
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -314,15 +324,15 @@ def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
         starts = part.episodes["start_qpos"].copy()
         starts[(starts.view(np.int64) == same.view(np.int64)).all(axis=1)] = 0
         packed.append(part._replace(episodes=part.episodes.replaced(start_qpos=starts)))
-    forces = (Episodes.binned(part.steps["force"]) for part in parts)
-    bins = [one for one in forces if one is not None]
+    binned = (Episodes.binned(part.steps["force"]) for part in parts)
+    bins = [one for one in binned if one is not None]
     if len(bins) < len(parts):
         return packed
-    names = [name for name in parts[0].steps if name != "force"]
-    schema = STORED_PULLS.only(*names, "force_bins")
+    own = parts[0].steps.schema.without("force")
+    schema = own.extended(*STORED_PULLS.only("force_bins").columns)
     return [
-        one._replace(steps=Table(schema, {**one.steps, "force_bins": own}))
-        for one, own in zip(packed, bins, strict=True)
+        one._replace(steps=Table(schema, {**one.steps, "force_bins": forces}))
+        for one, forces in zip(packed, bins, strict=True)
     ]
 
 
@@ -347,7 +357,8 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
         columns["force"] = Episodes.unbinned(columns.pop("force_bins"))
     if "force" not in columns:
         raise InvalidFile(f"{stored.path} has no forces")
-    return replace(stored, episodes=Episodes(own, Table(PULLS.only(*columns), columns)))
+    schema = PULLS.with_own(columns).only(*columns)
+    return replace(stored, episodes=Episodes(own, Table(schema, columns)))
 
 
 def _starts(task: TaskConfig, seeds: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -362,22 +373,20 @@ def _starts(task: TaskConfig, seeds: NDArray[np.int64]) -> NDArray[np.float64]:
     return starts
 
 
-def _digests_of(parts: Sequence[Episodes]) -> dict[str, str]:
+def _digests_of(parts: Sequence[Episodes]) -> dict[str, Any]:
     """Hash sets of episodes as one; return the digests by the names of the file's attributes."""
-    found = {"digest": _digest([part.recording() for part in parts])}
+    parts = fitted(parts)
+    claims = zip(*(part.claims().items() for part in parts), strict=True)
+    found: dict[str, Any] = {"digest": _digest([part.core() for part in parts])}
+    found["given"] = {own[0][0]: Table.digest(*(table for _, table in own)) for own in claims}
     if not any(part.is_recording for part in parts):
-        found["expansion"] = _digest(parts, NOT_STEPPED)
-    if all("expert_action" in part.steps for part in parts):
-        found["advice"] = Table.digest(*(part.steps.only("expert_action") for part in parts))
+        found["expansion"] = _digest([part.replayed() for part in parts])
     return found
 
 
-def _digest(parts: Sequence[Episodes], without: Set[str] = frozenset()) -> str:
-    """Hash the columns that all sets have (SHA-256, hexadecimal)."""
-    found = ""
-    for tables in zip(*fitted(parts), strict=True):
-        shared = set.intersection(*({*table} for table in tables)) - without
-        found += Table.digest(*(table.only(*shared) for table in tables))
+def _digest(parts: Sequence[Episodes]) -> str:
+    """Hash columns (SHA-256, hexadecimal)."""
+    found = "".join(Table.digest(*tables) for tables in zip(*parts, strict=True))
     return hashlib.sha256(found.encode()).hexdigest()
 
 

@@ -44,7 +44,7 @@ class ReplayFault(str):
 def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
     """Return a dataset with all columns, made by playing its episodes again.
 
-    The numbers of planned pulls can't be recomputed: the dataset's own stay.
+    What nothing can make again, such as labels, is the dataset's own.
 
     Raises:
         InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
@@ -56,9 +56,7 @@ def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
     for first in range(0, rows, _BLOCK):
         Counts.tell("episodes played again", Counts.from_now(first), rows)
         some = dataset.episodes.select(np.arange(first, min(first + _BLOCK, rows)))
-        made = replay(some, task)
-        own = made.episodes.replaced(planner_steps=some.episodes["planner_steps"])
-        parts.append(made._replace(episodes=own))
+        parts.append(replay(some, task).with_claims(some))
     whole = replace(dataset, episodes=Episodes.merged(parts) if parts else dataset.episodes)
     if is_whole and dataset.episodes.is_recording and parts:
         found = whole.digests["expansion"]
@@ -143,6 +141,7 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "rope": dataset.attributes.get("rope"),
         "versions": dataset.attributes.get("versions"),
         "claimed": {k: v for k in _CLAIMED if (v := (dataset.metadata or {}).get(k))} or None,
+        "columns nothing can make again": ", ".join(dataset.episodes.claims()) or None,
     }
 
 
@@ -151,10 +150,13 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     own, steps = dataset.episodes
     if unlike := dataset.task.rope_config.unlike(dataset.attributes.get("rope")):
         yield f"{dataset.path}: made with {unlike}"
-    for name, column in [*own.items(), *steps.items()]:
-        if column.dtype.kind == "f" and not np.isfinite(column).all():
-            yield f"{dataset.path}: {name} contains a number that isn't finite"
-    advised = np.abs(steps.get("expert_action", np.zeros(0))).max(initial=0)
+    for c, values in [(c, table[c.name]) for table in (own, steps) for c in table.schema.columns]:
+        if (
+            values.dtype.kind == "f"
+            and not (np.isfinite(values) | (c.optional & np.isnan(values))).all()
+        ):
+            yield f"{dataset.path}: {c.name} contains a number that isn't finite"
+    advised = np.nanmax(np.abs(steps.get("expert_action", np.zeros(0))), initial=0)
     far = np.abs(steps["force"]).max(initial=0) > 1
     absent = steps["bead"].max(initial=0) >= dataset.task.beads
     negative = (own["seed"] < -1).any() or (own["planner_steps"] < 0).any()
@@ -185,10 +187,15 @@ def _digest_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield which columns of a file aren't those that were written, of those no replay gives."""
     if dataset.rows is not None or dataset.parts:
         return  # a part of a file has no digest
-    now = dataset.digests
-    for name, what in (("digest", "starts and pulls"), ("advice", "expert's actions")):
-        if name in now and dataset.attributes.get(name) != now[name]:
-            yield f"{dataset.path}: its {what} don't match their digest"
+    now, then = dataset.digests, dataset.attributes
+    if then.get("digest") != now["digest"]:
+        yield f"{dataset.path}: its starts and pulls don't match their digest"
+    if not isinstance(claims := then.get("given"), dict):
+        yield f"{dataset.path} has no digests of columns that nothing can make again"
+        return
+    for name in sorted({*now["given"], *claims}):
+        if claims.get(name) != now["given"].get(name):
+            yield f"{dataset.path}: column {name} doesn't match its digest"
 
 
 def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:

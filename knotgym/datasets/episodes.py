@@ -4,6 +4,10 @@ A *recording* keeps what can't be computed: where each rope was laid, how it was
 for. *Columns* add what follows from that by stepping. `control.sampler` makes both; expanding a
 recording is the rollout of a policy that repeats its pulls.
 
+A column is *stepped* by the engine, *derived* by a function, or *given*: by the run (seeds, starts,
+goals), by the policy (pulls), or by whom nothing can ask again (labels, a user's own columns). A
+recording keeps what is given.
+
     row          0    1    2         T     an episode of T pulls has T + 1 rows of steps
     observation  s0   s1   s2  ...   sT
     pull         a0   a1   a2        -     what is done in this row's state; zeros in the last row
@@ -43,22 +47,41 @@ def columns_in(*parts: str) -> tuple[Column, ...]:
 
 
 STARTS = Schema("episodes", columns_in("starts"), "where an episode begins")
-RECORDED = Schema("episodes", columns_in("starts", "played"), "an episode")
-EPISODES = Schema("episodes", columns_in("starts", "played", "goals"), "an episode")
-PULLS = Schema("steps", columns_in("pulls"), "a state and the pull made in it")
+EPISODES = Schema("episodes", columns_in("starts", "played", "planned", "goals"), "an episode")
+_STEP = "a state, the pull made in it, and what it brought"
+_PARTS = ("pulls", "macros", "frames", "labels")
+# names of columns that users add begin with the last word
+STEPS = Schema("steps", columns_in(*_PARTS), _STEP, own="info/")
+MACROS = tuple(column.name for column in columns_in("macros"))
+LABELS = tuple(column.name for column in columns_in("labels"))  # of an adviser
+# of both forms, and under the digest of starts and pulls
+_CORE = {c.name for c in columns_in("starts", "played", "planned", "pulls") if not c.optional}
+_CORE |= {*MACROS}
+_PLANNED = {c.name for c in columns_in("planned")}
+
+
+def _kept(schema: Schema) -> Schema:
+    """Return the columns of a recording: all of both forms, and others that are given."""
+    kept = [c.name for c in schema.columns if c.name in _CORE or c.origin == "given"]
+    return schema.only(*kept)
+
+
+RECORDED = _kept(EPISODES)
+PULLS = _kept(STEPS)._replace(row="a state and the pull made in it")
 (_BINS,) = columns_in("bins")
-_STORED = *PULLS.columns, _BINS._replace(unit=f"max_force / {FORCE_BINS}")
+_STORED = (*PULLS.columns, _BINS._replace(unit=f"max_force / {FORCE_BINS}"))
 # as files of recordings have them: forces in one of two columns
 STORED_PULLS = PULLS._replace(columns=tuple(c._replace(optional=c.name != "bead") for c in _STORED))
-_STEP = "a state, the pull made in it, and what it brought"
-STEPS = Schema("steps", columns_in("pulls", "frames"), _STEP)
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, STORED_PULLS)}  # of files
-MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
+
+
+def is_claim(column: Column) -> bool:
+    """Whether nothing can make a column again, nor does a replay repeat it."""
+    return column.origin == "given" and column.name not in _CORE - _PLANNED
+
 
 _VISITS = ("visits", "goal_visits")  # columns of codes
 _OF_CODES = (("visits",), ("labels",))  # shapes of columns as wide as the longest code
-# a replay plans nothing and asks no expert
-NOT_STEPPED = frozenset({"planner_steps", "expert_action"})
 RELABEL = ("last", "all")
 # the force of each whole number, at the place of its byte
 _FORCES = quantized(np.arange(256).astype(np.int8) / FORCE_BINS).astype(np.float32)
@@ -84,7 +107,9 @@ class Shown(NamedTuple):
             InvalidInput: nothing says how a column is computed.
         """
         given = self._asdict()
-        wanted = {c.name: c.derived for c in schema.columns if c.of == "state"}
+        wanted = {
+            c.name: c.derived for c in schema.columns if c.of == "state" and c.origin != "given"
+        }
         if unknown := [name for name, of in wanted.items() if not of and name not in given]:
             raise InvalidInput(
                 f"nothing computes column {', '.join(unknown)} of steps: give it `derived`, a"
@@ -121,9 +146,41 @@ class Episodes(NamedTuple):
         return Episodes(self.episodes.take(chosen), self.steps.take(steps))
 
     def recording(self) -> "Episodes":
-        """Return the same episodes as starts and pulls."""
-        pulls = [name for name in _names(PULLS) if name in self.steps]
-        return Episodes(self.episodes.only(*_names(RECORDED)), self.steps.only(*pulls))
+        """Return the same episodes as starts, pulls and all else that is given."""
+        return Episodes(*(table.only(*_kept(table.schema).names) for table in self))
+
+    def core(self) -> "Episodes":
+        """Return the columns that both forms of every set have."""
+        return Episodes(*(table.only(*_CORE & {*table}) for table in self))
+
+    def replayed(self) -> "Episodes":
+        """Return the columns that a replay gives or repeats, of those that every set has."""
+        names = {
+            c.name
+            for table in self
+            for c in table.schema.columns
+            if not is_claim(c) and (c.name in _CORE or not c.optional)
+        }
+        return Episodes(*(table.only(*names & {*table}) for table in self))
+
+    def claims(self) -> dict[str, Table]:
+        """Return each column that nothing can make again, by the name of its table and its own."""
+        return {
+            f"{table.schema.name}/{c.name}": table.only(c.name)
+            for table in self
+            for c in table.schema.columns
+            if is_claim(c) and c.name not in _CORE
+        }
+
+    def with_claims(self, stored: "Episodes") -> "Episodes":
+        """Return the episodes, played again, with what nothing can make again of those stored."""
+        tables = list[Table]()
+        for made, own in zip(self, stored, strict=True):
+            names = [c.name for c in own.schema.columns if is_claim(c)]
+            claims = own.only(*names if made.rows == own.rows else ())
+            schema = made.schema.extended(*claims.schema.columns)
+            tables.append(Table(schema, {**made, **claims}))
+        return Episodes(*tables)
 
     def last(self) -> Ids:
         """Return the row of steps of each episode's last state: int64 (n,)."""
@@ -179,8 +236,9 @@ class Episodes(NamedTuple):
         """Return the episodes whose `columns` are given; none is a recording."""
         tables = []
         for schema in (EPISODES, STEPS):
-            named = {name: columns.get(f"{schema.name}/{name}") for name in _names(schema)}
-            own = {name: column for name, column in named.items() if column is not None}
+            named = {name.removeprefix(f"{schema.name}/"): own for name, own in columns.items()}
+            schema = schema.with_own(named)
+            own = {name: named[name] for name in schema.names if name in named}
             tables.append(Table(schema.only(*own), own))
         return cls(*tables)
 
@@ -243,7 +301,8 @@ class Episodes(NamedTuple):
     ) -> list[str]:
         """Say in which episode, step and column another set differs in any bit.
 
-        Columns that only one of them has, and the number of planned pulls, aren't compared.
+        Columns that only one of them has aren't compared, nor those of episodes that are claims,
+        nor where a column has no value.
 
         Args:
             other: the other set.
@@ -254,11 +313,11 @@ class Episodes(NamedTuple):
         """
         if self.episodes.rows != other.episodes.rows:
             return [f"{other.episodes.rows} episodes, should be {self.episodes.rows}"]
-        one, other = fitted([self, other])
+        one, other = _same_width([self, other])
         called = range(one.episodes.rows) if numbers is None else numbers
         found: list[tuple[int, int, str]] = []
-        for name in one.episodes.keys() & other.episodes.keys() - NOT_STEPPED:
-            rows = _differing(one.episodes[name], other.episodes[name])
+        for name in one.episodes.keys() & other.episodes.keys():
+            rows = _differing(one.episodes, other.episodes, name)
             found += [(row, -1, f"episode {called[row]}: {name} differs") for row in rows.tolist()]
         # steps are compared where episodes have as many
         alike = np.flatnonzero(one.episodes["length"] == other.episodes["length"])
@@ -266,7 +325,7 @@ class Episodes(NamedTuple):
             one, other = one.select(alike), other.select(alike)
         owner, offsets = one.episode_of(), one.offsets
         for name in one.steps.keys() & other.steps.keys():
-            rows = _differing(one.steps[name], other.steps[name])
+            rows = _differing(one.steps, other.steps, name)
             for row in rows[np.unique(owner[rows], return_index=True)[1]].tolist():
                 k, step = int(alike[owner[row]]), int(row - offsets[owner[row]])
                 found.append((k, step, f"episode {called[k]}, step {step}: {name} differs"))
@@ -373,7 +432,18 @@ class Statistics:
 
 
 def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
-    """Make codes as wide as the longest of all sets needs; other columns aren't copied."""
+    """Make sets alike: codes as wide as the longest of all needs, optional columns that any has.
+
+    Other columns aren't copied.
+
+    Raises:
+        InvalidInput: a column that some lack has no value for unknown.
+    """
+    tables = map(Table.alike, zip(*_same_width(sets), strict=True))
+    return [Episodes(*one) for one in zip(*tables, strict=True)]
+
+
+def _same_width(sets: Sequence[Episodes]) -> list[Episodes]:
     codes = [table[name] for one in sets for table in one for name in _VISITS if name in table]
     most = max([0, *(int(np.count_nonzero(one, axis=1).max(initial=0)) for one in codes)])
     sizes = Episodes.code_sizes(most // 2)
@@ -405,10 +475,6 @@ def gauss_codes(
     return texts.astype(str)
 
 
-def _names(schema: Schema) -> list[str]:
-    return [column.name for column in schema.columns]
-
-
 def _widened(table: Table, sizes: dict[str, int]) -> Table:
     """Return a table whose codes are as wide as `sizes` says; what is cut off is zero."""
     codes = {c.name: sizes[str(c.shape[0])] for c in table.schema.columns if c.shape in _OF_CODES}
@@ -416,13 +482,23 @@ def _widened(table: Table, sizes: dict[str, int]) -> Table:
     return Table(table.schema.sized(**sizes), {**table, **own})
 
 
-def _differing(a: NDArray[Any], b: NDArray[Any]) -> Ids:
-    """Return the rows that differ in any bit; all of them if the shapes differ."""
+def _differing(one: Table, other: Table, name: str) -> Ids:
+    """Return the rows whose values of a column differ in any bit; all if the shapes differ.
+
+    Rows in which the other table has no value of an optional column don't differ.
+    """
+    (column,), a, b = other.schema.only(name).columns, one[name], other[name]
+    if is_claim(column) and one.schema.name == EPISODES.name:
+        return np.zeros(0, dtype=np.int64)
     if a.shape != b.shape:
         return np.arange(min(1, max(len(a), len(b))))
     if a.dtype.kind == "U" or a.dtype != b.dtype:
         return np.flatnonzero((a != b).reshape(len(a), -1).any(axis=1))
     if not a.size:
         return np.zeros(0, dtype=np.int64)
-    one, two = (np.ascontiguousarray(x).reshape(len(x), -1).view(np.uint8) for x in (a, b))
-    return np.flatnonzero((one != two).any(axis=1))
+    bits, found = (np.ascontiguousarray(x).reshape(len(x), -1).view(np.uint8) for x in (a, b))
+    unlike = (bits != found).any(axis=1)
+    if column.optional and column.no_value is not None and column.name not in MACROS:
+        nothing = np.full((1, found.shape[1] // b.itemsize), column.no_value, b.dtype)
+        unlike &= (found != nothing.view(np.uint8)).any(axis=1)
+    return np.flatnonzero(unlike)

@@ -49,7 +49,7 @@ from knotgym.datasets.episode_dataset import (
     open_episodes,
     write_episodes,
 )
-from knotgym.datasets.episodes import STEPS, Episodes, Statistics, gauss_codes
+from knotgym.datasets.episodes import Episodes, Statistics, gauss_codes
 from knotgym.envs import TaskConfig
 from knotgym.rope import action_space
 from knotgym.states import CODE_SPLITS, minari_root
@@ -57,9 +57,6 @@ from knotgym.states import CODE_SPLITS, minari_root
 Arrays = dict[str, NDArray[Any]]
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
 METADATA = "metadata.json"
-# columns of steps that Minari's form has under other names
-_PLACED = {"observation", "action", "reward", "terminated", "truncated", "force"}
-_PLACED |= {"applied_fraction", "visits", "signs"}
 _OF_PULLS = {  # arrays of pulls -> columns
     **{"actions": "action", "rewards": "reward"},
     **{"terminations": "terminated", "truncations": "truncated"},
@@ -357,12 +354,11 @@ def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], 
         "bead": _led(steps["bead"].astype(np.int64), -1),
         "force": _led(applied),
         "applied_share": _led(share, 1),
-        **{name: steps[name] for name in ("expert_action",) if name in steps},
     }
-    infos |= {  # columns that have no other place in Minari's form
-        c.name: steps[c.name] if c.of == "state" else _led(steps[c.name])
-        for c in STEPS.columns
-        if c.name in steps and c.name not in (*_PLACED, *infos)
+    infos |= {  # those that not every set has, which have no other place in Minari's form
+        c.name.replace("/", "_"): steps[c.name] if c.of == "state" else _led(steps[c.name])
+        for c in steps.schema.columns
+        if c.optional
     }
     numbers = {"seed": own["seed"], "options/start": own["start"], "options/goal": own["goal"]}
     for k in range(own.rows):
@@ -408,7 +404,7 @@ def _different(stored: h5py.File, right: h5py.File) -> Iterator[str]:
             # nothing outside the file is read, and nothing is unpickled
             here = isinstance(one, h5py.Dataset) and not (one.external or one.is_virtual)
             same &= here and one.dtype == other.dtype and one.shape == other.shape
-            same = same and bool(np.array_equal(one[()], other[()]))
+            same = same and one[()].tobytes() == other[()].tobytes()  # as NaN is none's equal
         if not same:
             yield f"{name} isn't that of the columns"
 

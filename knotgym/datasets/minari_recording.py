@@ -78,7 +78,7 @@ def _episode(items: Mapping[str, Any], name: str, task: TaskConfig, policy: str)
     codes = CodeArrays.read(np.concatenate([points, goals[:1].astype(np.float64)]))
     sizes = {"beads": task.beads, "nq": Rope(rope).nq}
     sizes |= {"visits": codes.visits.shape[1], "labels": codes.signs.shape[1]}
-    optional = [c.name for c in STEPS.columns if c.of == "pull" and c.optional]
+    optional = [c.name for c in STEPS.columns if c.optional and c.origin == "given"]
     schema = STEPS.sized(**sizes).without(*optional)
     shown = Shown(points, codes.visits[:-1], codes.signs[:-1], codes.crossings[:-1])
     steps = schema.empty(pulls + 1)

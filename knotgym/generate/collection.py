@@ -5,6 +5,7 @@ the seed and its number, so the dataset's bytes don't depend on blocks, lanes or
 """
 
 import hashlib
+import inspect
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -90,6 +91,7 @@ def collect(
     *,
     progress: Progress | None = None,
     recorded: bool = False,
+    columns: Callable[..., Mapping[str, Any]] | None = None,
 ) -> Path:
     """Collect a dataset and return its folder; a shard returns its journal.
 
@@ -99,6 +101,9 @@ def collect(
         options: how to execute the run.
         progress: where progress is shown.
         recorded: rebuild the episodes from their recording, see `recordings`.
+        columns: a function of a module, `(batch, ids) -> {name: values}`, that computes columns of
+            your own of each state, of the ropes `ids` of an `EpisodeBatch`: numbers, (n, ...) each.
+            They are stored as `info/NAME`, and nothing can make them again.
 
     Raises:
         InvalidPolicy, InvalidInput: the policy doesn't fit the task, or no episode is left to keep.
@@ -113,9 +118,15 @@ def collect(
 
     advisers = [replace(config.policy, policy="expert")] if config.labels else []
     files = {RECORDINGS.name: RECORDINGS} if recorded else {}
+    if columns is not None:
+        name = getattr(columns, "__qualname__", "<nothing>")
+        if "<" in name or not inspect.isfunction(columns):
+            raise InvalidInput(f"columns must be a function that a module defines, got {columns!r}")
+        files[f"columns {name}"] = Path(inspect.getfile(columns))
     made_by = identity(config, files, also=advisers)
     plan = compile_planning if config.policy.plans else None
-    recipe = partial(_episodes_of, config, made_by, rebuilt if recorded else _play)
+    block = rebuilt if recorded else partial(_play, columns=columns)
+    recipe = partial(_episodes_of, config, made_by, block)
     compiles = {"engine": config.task.engine, "plan": plan}
     begin = partial(run, compiles=compiles, count=reached, identity_in=run_facts)
     return begin(recipe, folder, made_by, options, progress)
@@ -191,9 +202,11 @@ def _first_steps(parts: list[Episodes], steps: int) -> list[Episodes]:
     return kept
 
 
-def _play(config: CollectConfig, numbers: range) -> Result:
+def _play(
+    config: CollectConfig, numbers: range, columns: Callable[..., Mapping[str, Any]] | None = None
+) -> Result:
     """Play a block of a collection's episodes."""
-    return config.played(numbers, config.seed).columns()
+    return config.played(numbers, config.seed, columns).columns()
 
 
 def _publish(

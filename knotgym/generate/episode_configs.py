@@ -81,13 +81,17 @@ class CollectConfig:
         """The environment with the observation that the policy gets."""
         return replace(self.task, observation=self.policy_observation or self.task.observation)
 
-    def played(self, numbers: range, seed: int) -> datasets.Episodes:
-        """Play some of the episodes that a collection with this seed has, by their numbers."""
+    def played(self, numbers: range, seed: int, columns: Any = None) -> datasets.Episodes:
+        """Play some of the episodes that a collection with this seed has, by their numbers.
+
+        `columns` are those of `control.rollouts`.
+        """
         policy, expert = control.make_policy(self.policy), replace(self.policy, policy="expert")
         adviser = control.make_policy(expert) if self.labels else None
         seeds = [Stream.EPISODE.derived_seed(seed, number) for number in numbers]
         kept = datasets.PULLS if self.form == "recording" else datasets.STEPS
-        return control.rollouts(policy, self.policy_task, seeds, keep=kept, adviser=adviser)
+        more = {"adviser": adviser, "columns": columns}
+        return control.rollouts(policy, self.policy_task, seeds, keep=kept, **more)
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:

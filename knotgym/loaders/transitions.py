@@ -157,6 +157,9 @@ class Transitions:
             f"{path} has no expert actions: collect it with --set labels=expert": (
                 self._labels and "expert_action" not in steps
             ),
+            f"{path} has states without expert actions, of sets that were collected without": (
+                self._labels and bool(np.isnan(steps.get("expert_action", 0.0)).any())
+            ),
             "sampled goals replace the episodes': leave out relabel and labels": (
                 goals and (self._labels or self._relabelled)
             ),

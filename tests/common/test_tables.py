@@ -73,10 +73,11 @@ def test_parts_are_appended(tmp_path: Path, path: Path, rows: int) -> None:
         Table.joined([table(beads=4), table(beads=5)])
 
 
-def test_an_optional_column_is_kept_if_all_parts_have_it() -> None:
+def test_an_optional_column_that_a_part_lacks_is_unknown_there() -> None:
     scored = Table(SCHEMA, {**table(), "score": np.ones(5, np.float32)})
     assert "score" in Table.joined([scored, scored])
-    assert "score" not in Table.joined([scored, table()])
+    joined = Table.joined([table(), scored])["score"]
+    assert np.isnan(joined[:5]).all() and (joined[5:] == 1).all()
 
 
 def test_padded_columns_get_the_longest_length(tmp_path: Path) -> None:

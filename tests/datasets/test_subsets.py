@@ -14,6 +14,7 @@ from knotgym.common import InvalidInput, MissingFile
 from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.subsets import _matching_rows, _write_rows, kept, merge
+from knotgym.loaders import arrays
 from knotgym.states import read_states, shipped, write_states
 
 COLUMNS = {
@@ -165,7 +166,10 @@ def test_states_without_demonstrations_are_split(tmp_path: Path) -> None:
 
 def test_a_set_with_macro_actions_and_one_without_are_merged(tmp_path: Path) -> None:
     merge([str(one) for one in TINY.values()], tmp_path / "m.h5")
-    assert "macro_bead" not in open_episodes(tmp_path / "m.h5").episodes.steps
+    steps = open_episodes(tmp_path / "m.h5").episodes.steps
+    acted = np.split(steps["macro_side"] != 0, [open_episodes(TINY["expert"]).episodes.steps.rows])
+    assert acted[0].any() and not acted[1].any()
+    arrays([*TINY.values()], observation="state", action="decision")
     assert knotgym.verify(tmp_path / "m.h5") == []
 
 

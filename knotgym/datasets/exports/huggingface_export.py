@@ -42,7 +42,7 @@ _KEPT = tuple(
     for column in STEPS.columns
     if column.name not in ("visits", "signs")
 )
-ROWS_OF_STEPS = Schema("steps", (*columns_in("hub"), *_KEPT, *columns_in("picture")))
+ROWS_OF_STEPS = Schema("steps", (*columns_in("hub"), *_KEPT, *columns_in("picture")), own=STEPS.own)
 
 
 def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
@@ -108,9 +108,10 @@ def _tables(
     if len({one.task.engine for one in datasets}) > 1:
         raise InvalidInput("episodes exported together are of one engine; export each by itself")
     pictures = all(one.task.observation in ("pixels", "both") for one in datasets)
-    stored = {name for one in datasets for name in one.episodes.steps}
+    stored = {name: values for one in datasets for name, values in one.episodes.steps.items()}
     lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
-    schema = ROWS_OF_STEPS.without(*lacking, *([] if pictures else ["image"]))
+    rows = ROWS_OF_STEPS.with_own(stored)
+    schema = rows.without(*lacking, *([] if pictures else ["image"]))
     for split in dict.fromkeys(one.task.split for one in datasets):
         own = [one for one in datasets if one.task.split == split]
         tables = (part for one in own for part in _step_tables(one, schema, pictures))
@@ -182,7 +183,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
     }
     if pictures:
         columns["image"] = part.pictures(beside_goals=True)[..., :3]
-    return Table(ROWS_OF_STEPS, columns)
+    return Table(ROWS_OF_STEPS.with_own(columns), columns)
 
 
 def _write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
