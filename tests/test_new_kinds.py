@@ -7,14 +7,17 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from minari import MinariDataset
 from pytest_types import Patch
 
 import knotgym
+from knotgym.adapters import goal_env
 from knotgym.common import InvalidInput
 from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
-from knotgym.envs import TaskConfig
+from knotgym.envs import OBSERVATIONS, ObservationKind, TaskConfig
 from knotgym.generate import CollectConfig, collect
+from knotgym.loaders import Transitions, arrays
 from knotgym.rope import CHAIN, ENGINES, ChainSimulation, simulation
 from knotgym.runs import RunOptions
 
@@ -52,3 +55,39 @@ def test_an_engine(tmp_path: Path, monkeypatch: Patch) -> None:
     steps, hard = (open_episodes(one).episodes.steps for one in (made, collected(tmp_path)))
     assert steps["action"].shape == hard["action"].shape
     assert not np.array_equal(steps["observation"], hard["observation"])
+
+
+def rope_alone(frames: Any, ropes: Any, goals: Any) -> np.ndarray:
+    return OBSERVATIONS["state"].halves(frames, ropes)  # type: ignore[no-any-return]
+
+
+ROPE = ObservationKind(
+    goal=(),
+    space=lambda task: gym.spaces.Box(-np.inf, np.inf, (3 * task.beads,), np.float32),
+    whole=rope_alone,
+)
+
+
+@pytest.mark.parametrize("name", ["rope", *OBSERVATIONS])
+def test_every_observation_is_the_same_in_environments_arrays_and_minari(
+    name: str, tmp_path: Path, monkeypatch: Patch
+) -> None:
+    monkeypatch.setitem(OBSERVATIONS, "rope", ROPE)
+    made = collected(tmp_path, observation=name, image_size=16)
+    stored = open_episodes(made)
+    env: Any = gym.make("knotgym/Tie-v0", **{**vars(stored.task), "engine": "chain"})
+    seen, _ = env.reset(seed=int(stored.episodes.episodes["seed"][0]))
+    held, minari = arrays(made), MinariDataset(made / "data")[0]
+    assert seen in env.observation_space
+    for k, action in enumerate(held["actions"][: stored.episodes.episodes["length"][0]]):
+        for here, own in ((held["observations"], seen), (minari.observations, seen)):
+            parts = own if isinstance(own, dict) else {"": own}
+            for part, value in parts.items():
+                np.testing.assert_array_equal(value, (here[part] if part else here)[k])
+        seen, *_ = env.step(action)
+    if name == "rope":
+        assert seen.shape == (300,)
+        with pytest.raises(InvalidInput, match="observation has no halves"):
+            Transitions(made).batch([0], apart=True)
+        with pytest.raises(InvalidInput, match="rope without its goal needs observation"):
+            goal_env("tie", observation="rope")

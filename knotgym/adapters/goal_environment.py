@@ -19,7 +19,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import EpisodeBatch, KnotEnv, Observer, Situation, TaskConfig
+from knotgym.envs import OBSERVATIONS, EpisodeBatch, KnotEnv, Observer, Situation, TaskConfig
 
 Info = dict[str, Any]
 _SYMBOLS = Observer.SYMBOLS
@@ -55,7 +55,7 @@ class GoalBatch(EpisodeBatch):
         fits = 2 * self.crossings[ids] <= _SYMBOLS
         counts = ~same & fits & ~self.towed[ids] & ~self.failed[ids]
         return {
-            "observation": _halves(super().observations(ids), batched=True)[0],
+            "observation": self.halves(ids)[0],
             "achieved_goal": _encoded(self.visits[ids], counts),
             "desired_goal": _encoded(self.wanted[ids], np.ones(len(ids), dtype=bool)),
         }
@@ -145,45 +145,38 @@ class OGBenchEnv(KnotEnv):
             options = {"start": chosen["start"], "goal": chosen["goal"], **options}
         rope, info = super().reset(seed=seed, options=options)
         if render_goal:
-            info["goal_rendered"] = _halves(self.episodes.rgb(0))[1]
+            info["goal_rendered"] = np.split(self.episodes.rgb(0), 2, axis=1)[1]
         return rope, info
 
     def _seen(self) -> tuple[NDArray[Any], Info]:
-        both, info = super()._seen()
-        rope, goal = _halves(both)
+        info, ids = self.episodes.info_rows(np.array([0]))[0], np.array([0])
+        rope, goal = (half[0] for half in self.episodes.halves(ids))
         return rope, {**info, "goal_row": info["goal"], "goal": goal, "success": info["is_success"]}
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the rope alone, uint8 (size, size, 3)."""
         picture = super().render()
-        return None if picture is None else _halves(picture)[0]
+        return None if picture is None else np.split(picture, 2, axis=1)[0]
 
 
 def _rope_space(config: TaskConfig) -> spaces.Box:
     """Return the space of the rope's half of an observation."""
-    whole: Any = Observer(config).space
-    return spaces.Box(_halves(whole.low)[0], _halves(whole.high)[0], dtype=whole.dtype)
-
-
-def _halves(observation: NDArray[Any], batched: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Split an observation (picture, state or symbols) into the rope's and the goal's half.
-
-    Several observations (n, ...) are split if they are `batched`.
-    """
-    many = observation if batched else observation[None]
-    rope, goal = np.split(many, 2, axis=2 if many.ndim == 4 else 1)
-    if many.ndim == 3:  # symbols: two rows
-        rope, goal = rope[:, 0], goal[:, 0]
-    return (rope, goal) if batched else (rope[0], goal[0])
+    space = OBSERVATIONS[config.observation].space
+    assert space is not None  # required before
+    half = space(config)
+    return (
+        half if half.shape[0] > 1 else spaces.Box(half.low[0], half.high[0], dtype=half.dtype.type)
+    )
 
 
 def _require_one_side(config: TaskConfig) -> None:
-    """Raise InvalidInput if observations of the task can't be split by `_halves`."""
-    if config.observation in ("both", "marked") or config.layout != "beside":
+    """Raise InvalidInput if the rope can't be observed without its goal, as one array."""
+    fits = [name for name, kind in OBSERVATIONS.items() if kind.half is not None]
+    if config.observation not in fits or config.is_canonical:
         raise InvalidInput(
-            "an environment that shows the rope without its goal needs observation 'pixels',"
-            " 'state' or 'symbolic', and layout 'beside';"
-            f" got {config.observation!r} and {config.layout!r}"
+            "an environment that shows the rope without its goal needs observation"
+            f" {', '.join(map(repr, fits))}, and frame 'world';"
+            f" got {config.observation!r} and {config.frame!r}"
         )
 
 

@@ -19,14 +19,15 @@ class ActionPlayer(ABC):
     Attributes:
         batch: the episodes.
         name: of the policy, for error messages.
-        view, frame: of the actions; those of the task, unless a subclass gives others.
+        view: of the actions; that of the task, unless a subclass gives another.
+        is_canonical: whether they are in the ropes' own frames; as in the task.
         planned: int64 (lanes,), 0: nothing is simulated.
         rngs: the generator of the episode in each lane.
     """
 
     def __init__(self, batch: EpisodeBatch, name: str, view: ActionView | None = None) -> None:
         self.batch, self.name, self.view = batch, name, view or batch.view
-        self.frame = batch.task.frame
+        self.is_canonical = batch.task.is_canonical
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self.rngs: list[np.random.Generator] = [np.random.default_rng(0)] * batch.count
         self._pulled = np.zeros(batch.count, dtype=bool)  # since the view last looked
@@ -67,7 +68,7 @@ class ActionPlayer(ABC):
     def _in_world(self, ids: Ids) -> NDArray[np.float32]:
         """Choose actions, check them, and map them into the world."""
         actions = _checked(self.choose(ids), self.view, self.name)
-        if self.frame == "canonical":
+        if self.is_canonical:
             actions = self.batch.world_actions(self.view, actions, ids).astype(np.float32)
         return actions
 

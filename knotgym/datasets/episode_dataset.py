@@ -26,7 +26,7 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -122,17 +122,39 @@ class EpisodeDataset:
         chosen = self.numbers[np.asarray(rows) if np.size(rows) else slice(0)]
         return replace(self, episodes=self.episodes.select(rows), rows=chosen)
 
-    def pictures(self, *, beside_goals: bool) -> NDArray[np.uint8]:
-        """Draw each state as the environment shows it, alone or beside its goal: (rows, ...)."""
+    def frames(self, observer: "envs.Observer") -> "envs.Frames":
+        """Return its states, row by row, and its episodes' goals, for observations of them."""
+        own, steps = self.episodes
+        last = steps.rows - 1
 
-        (own, steps), episode = self.episodes, self.episodes.episode_of()
-        observer, goals = envs.Observer(self.task), own["goal_points"].astype(np.float64)
-        shown = observer.appearances(zip(own["goal"].tolist(), goals, strict=True))
-        points, each = steps["observation"].astype(np.float64), [shown[k] for k in episode]
-        if not beside_goals:
-            return observer.draw_ropes(points, each)
-        halves = observer.draw_ropes(goals, shown)
-        return observer.pixels(points, [halves[k] for k in episode], each)
+        @cache
+        def _looks() -> Any:
+            return observer.appearances(zip(own["goal"].tolist(), own["goal_points"], strict=True))
+
+        def _draw(ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+            within = np.searchsorted(self.episodes.offsets, np.minimum(ids, last), side="right") - 1
+            episodes = np.where(ids > last, ids - steps.rows, within)
+            points = frames.points(ids).astype(np.float64)
+            return observer.draw_ropes(points, [_looks()[k] for k in episodes])
+
+        stored = steps["observation"], steps["visits"], own["goal_points"], own["goal_visits"]
+        frames = envs.Frames(*stored, _draw, common.Threads())
+        return frames
+
+    def seen(self, observation: str | None = None, *, alone: bool = False) -> Any:
+        """Observe each state as the environment does: an array (rows, ...), or a dict of several.
+
+        Args:
+            observation: the kind; None for that of its task.
+            alone: without the goals.
+        """
+        rows = np.arange(self.episodes.steps.rows)
+        kind = envs.OBSERVATIONS[observation or self.task.observation]
+        frames = self.frames(envs.Observer(self.task))
+        if alone:
+            return kind.halves(frames, rows)
+        goals = len(rows) + self.episodes.episode_of()
+        return kind.observe(self.task, frames, rows, goals)
 
     def drawn(self, sample: int) -> "EpisodeDataset":
         """Return so many episodes, drawn from a generator of their content; 0 for all."""

@@ -23,7 +23,7 @@ import stat
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -376,14 +376,7 @@ def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], 
 
 def _observations(dataset: EpisodeDataset, k: int) -> Arrays:
     """Return an episode's observations by path."""
-
-    one = dataset.select([k])
-    own, steps = one.episodes
-    points, goals = steps["observation"].astype(np.float64), own["goal_points"].astype(np.float64)
-    wanted = own["goal_visits"][[0] * steps.rows]
-    pictures = partial(one.pictures, beside_goals=True)
-    observer = envs.Observer(dataset.task)
-    shown = observer.observe(points, steps["visits"], goals[0], wanted, pictures)
+    shown = dataset.select([k]).seen()
     if not isinstance(shown, dict):
         return {"observations": shown}
     return {f"observations/{name}": array for name, array in shown.items()}
@@ -479,5 +472,6 @@ def _bounds(task: TaskConfig) -> str:
     """
     from minari.serialization import serialize_space
 
-    bounds = serialize_space(envs.Observer(task).space, to_string=False)
+    space = envs.OBSERVATIONS[task.observation].space_of(task)
+    bounds = serialize_space(space, to_string=False)
     return json.dumps(bounds, separators=(",", ":"))

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Array, Ids, InvalidInput, Threads, padded
-from knotgym.envs.observations import Observer
+from knotgym.common import Array, Ids, InvalidInput, padded
+from knotgym.envs.observations import OBSERVATIONS, Frames, Observer
 from knotgym.envs.reward import Outcome, Situation
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
@@ -67,7 +67,7 @@ class EpisodeBatch:
         self.simulation = simulation(task.engine, count, Rope(task.rope_config), threads)
         self.view = ActionView(task.action, self.simulation)
         self._observer = Observer(task)
-        self.space = self._observer.space
+        self.space = OBSERVATIONS[task.observation].space_of(task)
         self._sides = task_sides(task)
         self.starts, self.goals = (side.states for side in self._sides[0])
         self.rows = {
@@ -266,7 +266,7 @@ class EpisodeBatch:
         Raises:
             InvalidInput: an action is invalid; no rope has moved.
         """
-        if self.task.frame == "canonical":
+        if self.task.is_canonical:
             actions = self.world_actions(self.view, actions, ids)
         if self.task.action == "pull":
             return self.pull(ids, *self.simulation.read_actions(actions, ids), meanwhile)
@@ -315,7 +315,8 @@ class EpisodeBatch:
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
         """Draw the rope on the left and its goal on the right: uint8 (views * size, 2 size, 3)."""
-        return np.ascontiguousarray(self._pictures(np.array([index]))[0, ..., :3])
+        rope, goal = self._pictures(np.array([index]), np.arange(2))
+        return np.concatenate([rope, goal], axis=1)[..., :3].copy()
 
     def observation(self, index: int) -> Any:
         """Return the observation of episode `index`, of the kind `task.observation`."""
@@ -323,23 +324,28 @@ class EpisodeBatch:
 
     def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
-        if self.task.observation != "state":
-            return self._observed(ids)
-        seen = np.empty((len(ids), 6 * self.task.beads), dtype=np.float32)
+        kind, ropes = OBSERVATIONS[self.task.observation], np.arange(len(ids))
+        return kind.observe(self.task, self._frames(ids), ropes, ropes + len(ids))
 
-        def _part(rows: slice) -> None:
-            seen[rows] = self._observed(ids[rows])
+    def halves(self, ids: Ids) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the halves of observations, those of the ropes and those of their goals.
 
-        self.simulation.threads.spread(_part, len(ids), Threads.FEW)
-        return seen
+        A half of one row, as of codes, is returned without its first axis.
+        """
+        kind = OBSERVATIONS[self.task.observation]
+        both = kind.halves(self._frames(ids), np.arange(2 * len(ids)))
+        rope, goal = np.split(both[:, 0] if both.shape[1] == 1 else both, 2)
+        return rope, goal
 
-    def _observed(self, ids: Ids) -> Any:
-        return self._observer.observe(
+    def _frames(self, ids: Ids) -> Frames:
+        """Return the ropes `ids` as frames, and after them their goals."""
+        return Frames(
             self.simulation.points[ids],
             self.visits[ids],
             self.goals.points[self.goal_row[ids]],
             self.wanted[ids],
             partial(self._pictures, ids),
+            self.simulation.threads,
         )
 
     def info_rows(self, ids: Ids) -> list[dict[str, Any]]:
@@ -404,16 +410,18 @@ class EpisodeBatch:
         self.visits, self.wanted = padded(self.visits, columns), padded(self.wanted, columns)
         self.signs = padded(self.signs, columns // 2)
 
-    def _pictures(self, ids: Ids) -> NDArray[np.uint8]:
-        goals = self.goal_row[ids].tolist()
-        for goal in set(goals) - self._goal_images.keys():
-            rope = self.goals.points[[goal]]
-            shown = self._observer.appearances([(goal, rope[0])])
-            self._goal_images[goal] = self._observer.draw_ropes(rope, shown)[0], shown[0]
-        pictures = [self._goal_images[goal][0] for goal in goals]
-        own_looks = [self._goal_images[goal][1] for goal in goals]
-        points, threads = self.simulation.points[ids], self.simulation.threads
-        return self._observer.pixels(points, pictures, own_looks, threads)
+    def _pictures(self, ids: Ids, frames: Ids) -> NDArray[np.uint8]:
+        """Draw frames in increasing order, as `_frames` numbers them."""
+        ropes, goals = ids[frames[frames < len(ids)]], ids[frames[frames >= len(ids)] - len(ids)]
+        for row in {*self.goal_row[ids].tolist()} - self._goal_images.keys():
+            rope = self.goals.points[[row]]
+            shown = self._observer.appearances([(row, rope[0])])
+            self._goal_images[row] = self._observer.draw_ropes(rope, shown)[0], shown[0]
+        looks = [self._goal_images[row][1] for row in self.goal_row[ropes].tolist()]
+        points, threads = self.simulation.points[ropes], self.simulation.threads
+        drawn = self._observer.draw_ropes(points, looks, threads)
+        kept = [self._goal_images[row][0] for row in self.goal_row[goals].tolist()]
+        return np.concatenate([drawn, kept]) if kept else drawn
 
     def _choose(self, row: object, rows: Ids, name: str, rng: np.random.Generator) -> int:
         # drawn even if unused, so that the noise that follows doesn't depend on options

@@ -53,6 +53,12 @@ class CanonicalFrames(NamedTuple):
     centres: Array
     reverse: NDArray[np.bool_]
 
+    @classmethod
+    def centred(cls, points: Array) -> CanonicalFrames:
+        """Return the frames of ropes (n, beads, 3) that lie as they do, about their centres."""
+        axes = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+        return cls(axes, points.mean(axis=1), np.zeros(len(points), dtype=bool))
+
     def points(self, points: Array) -> Array:
         """Map vertices (n, beads, 3) of the world into the frame, and renumber them."""
         seen = self.vectors(points - self.centres[:, None])

@@ -11,6 +11,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 import knotgym
 from knotgym.common import Distinct, InvalidInput, Mark, choice, configuration
+from knotgym.envs.observations import LAYOUTS, OBSERVATIONS
 from knotgym.quality import RESET_NOISE
 from knotgym.rendering import APPEARANCES, AppearanceName, CameraName, PictureConfig, Views
 from knotgym.rope import ENGINES, MUJOCO, EngineName
@@ -19,7 +20,6 @@ from knotgym.states import CODE_SPLITS, STATE_SPLITS
 if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
-_OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro", "decision")  # see `knotgym.rope.action_views`
 MOST_STEPS = 100_000  # of an episode; arrays of all steps are made before it begins
 _BEADS = range(50, 1001)  # that a rope may have
@@ -120,7 +120,6 @@ class TaskConfig:
         numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info_rows`.
     """
 
-    OBSERVATIONS: ClassVar = _OBSERVATIONS
     BEADS: ClassVar = _BEADS
 
     task: TaskName | Annotated[tuple[TaskName, ...], Distinct]
@@ -130,7 +129,7 @@ class TaskConfig:
     engine: EngineName = MUJOCO
     beads: Annotated[int, Field(ge=_BEADS.start, le=_BEADS[-1])] = 100
     rope: dict[str, float] | None = None
-    observation: Annotated[str, choice(*_OBSERVATIONS)] = "pixels"
+    observation: Annotated[str, choice(growing=OBSERVATIONS)] = "pixels"
     action: Annotated[str, choice(*ACTIONS)] = "pull"
     frame: Annotated[str, choice("world", "canonical")] = "world"
     max_goals: PositiveInt | None = None
@@ -142,7 +141,7 @@ class TaskConfig:
     image_size: Annotated[int, Field(ge=16, le=2048)] = 128
     views: Views = ("top",)
     depth: bool = False
-    layout: Annotated[str, choice("beside", "stacked")] = "beside"
+    layout: Annotated[str, choice(growing=LAYOUTS)] = "beside"
     camera: CameraName = "orthographic"
     appearance: AppearanceName = "published"
     renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
@@ -163,11 +162,11 @@ class TaskConfig:
                 )
             _ = self.rope_config  # refuses values out of range
         PictureConfig(depth=self.depth, renderer=self.renderer)  # type: ignore[arg-type]
-        if self.frame == "canonical" and (
-            self.observation not in ("state", "marked") or self.action == "bead"
-        ):
+        framed = OBSERVATIONS[self.observation].canonical is not None
+        if self.is_canonical and not (framed and self.action != "bead"):
+            shown = (f'"{name}"' for name, kind in OBSERVATIONS.items() if kind.canonical)
             raise InvalidInput(
-                'frame "canonical" goes with observation "state" or "marked" and any action but'
+                f'frame "canonical" goes with observation {" or ".join(shown)} and any action but'
                 ' "bead", whose forces are of the world; got'
                 f" {self.observation!r} and {self.action!r}"
             )
@@ -209,6 +208,11 @@ class TaskConfig:
     def most_nx(beads: int) -> int:
         """Return the largest number of crossings for which a rope of so many beads has room."""
         return 11 * beads // 100  # a rope of 100 beads hardly has room for more
+
+    @property
+    def is_canonical(self) -> bool:
+        """Whether actions and vertices are in the rope's own frame."""
+        return self.frame == "canonical"
 
     @property
     def tasks(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from knotgym.common import InvalidFile, InvalidInput, as_json, differences
 from knotgym.control import PolicyConfig, compile_planning, make_policy
 from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
-from knotgym.generate.episode_configs import OBSERVATION, CollectConfig, plain_id
+from knotgym.generate.episode_configs import CollectConfig, plain_id
 from knotgym.generate.recordings import RECORDINGS, rebuilt
 from knotgym.generate.results import reached, reference_scores
 from knotgym.rope import ENGINES
@@ -75,7 +75,7 @@ def _distinct_id(config: CollectConfig) -> str:
     digest = hashlib.sha256("; ".join(rules).encode()).hexdigest()[:8]
     marks = {
         states_mark(task.states): True,
-        task.observation: task.observation != OBSERVATION,
+        task.observation: task.observation != CollectConfig.task.observation,
         f"seed{config.seed}": config.seed != 0,
         "successes": not config.keep_failed,
         "labelled": config.labels != "",

@@ -16,11 +16,8 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 from knotgym import control, datasets  # loaded on first use, as the command line reads this
 from knotgym.common import Distinct, InvalidInput, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
-from knotgym.envs import TaskConfig
+from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import ENGINES, MUJOCO
-
-# Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
-OBSERVATION = "state"
 
 SUITE: dict[str, Any] = tomllib.loads(
     (files("knotgym.generate") / "data" / "suite.toml").read_text("utf-8")
@@ -62,14 +59,15 @@ class CollectConfig:
         code_permalink: URL of the code that made it.
     """
 
-    task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
+    # vertices by default, from which loaders draw pictures of any kind
+    task: TaskConfig = TaskConfig(task="tie", observation="state")
     policy: PolicyConfig = PolicyConfig(policy="expert")
     episodes: PositiveInt = 200
     steps: NonNegativeInt = 0
     seed: Seed = 0
     keep_failed: bool = True
     labels: Annotated[str, choice("", "expert")] = ""
-    policy_observation: Annotated[str, choice("", *TaskConfig.OBSERVATIONS)] = ""
+    policy_observation: Annotated[str, choice("", growing=OBSERVATIONS)] = ""
     dataset_id: str = ""
     form: Annotated[str, choice("", "recording", "columns", "minari")] = ""
     author: tuple[str, ...] = ()

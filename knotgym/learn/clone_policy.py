@@ -24,7 +24,7 @@ from torch.nn import functional
 
 from knotgym.common import Array, Ids, InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, PassValues, Player, Sight
-from knotgym.envs import EpisodeBatch, Marked, TaskConfig
+from knotgym.envs import OBSERVATIONS, EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.agent import require_readable
 from knotgym.learn.card import CARD, CLONE, PRETRAINED, read_card
 from knotgym.learn.checkpoint import load_network, load_reader
@@ -69,7 +69,7 @@ class ClonePolicy:
             )
         if task.beads != BEADS:
             raise InvalidPolicy(f"policy {CLONE} needs a rope of {BEADS} beads, got {task.beads}")
-        if task.observation != "pixels":
+        if not _sees_pictures_alone(task):
             return replace(task, observation="state")
         # a picture shows where to pull, but not where in the world that is
         require_readable(task, CLONE, "macro")
@@ -78,6 +78,10 @@ class ClonePolicy:
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
         return _ClonePlayer(self, batch)
+
+
+def _sees_pictures_alone(task: TaskConfig) -> bool:
+    return OBSERVATIONS[task.observation].goal == ("picture",)
 
 
 class _ClonePlayer(ActionPlayer):
@@ -94,7 +98,7 @@ class _ClonePlayer(ActionPlayer):
         super().begin(ids, rngs)
         for index in ids.tolist():
             self._codes[index] = None
-            if self.batch.task.observation == "pixels":
+            if _sees_pictures_alone(self.batch.task):
                 reader, starts = load_reader(PRETRAINED)
                 chain = ChainSimulation(MOST_IMAGINED)
                 self._seen[index] = ShapeHypotheses(reader, chain, starts, self.rngs[index])

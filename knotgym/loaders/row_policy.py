@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
-from knotgym.envs import Marked, TaskConfig
+from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import ActionView
 
 # Rows that a model is given at a time: a network's sums depend on their number, and an episode must
@@ -50,11 +50,10 @@ class RowPolicy:
             raise InvalidPolicy(f"a model must return a row for each observation: {gave}")
         if self.action != "decision" or found.ndim != 3:
             return found
-        if self.observation == "marked":
-            points = Marked.split(observations).points
-        else:
-            points = observations.reshape(len(observations), 2, -1, 3)[:, 0]
-            points = points - points.mean(axis=1, keepdims=True)
+        centred = OBSERVATIONS[self.observation].centred
+        if centred is None:
+            raise InvalidPolicy(f"decisions of each bead need vertices, not {self.observation!r}")
+        points = centred(observations)
         wanted = (points.shape[1], 1 + 4 * ActionView.LONGEST)
         if found.shape[1:] != wanted:
             raise InvalidPolicy(f"decisions of each bead are {wanted}, got {found.shape[1:]}")

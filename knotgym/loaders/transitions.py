@@ -11,6 +11,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
 
 import reprlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, TypedDict, Unpack
 
@@ -23,6 +24,8 @@ from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames
 from knotgym.loaders.windows import GoalSampling, Window
 from knotgym.rope import ActionView, nearest_beads
+
+_VIEWS = "observation", "action", "frame"  # that a loader may choose
 
 
 class Opening(TypedDict, total=False):
@@ -100,16 +103,17 @@ class Transitions:
         self.dataset = columns_of(dataset)
         self._opening, self.task = opening, self.dataset.task
         self.window, self._reward = opening.get("window"), opening.get("reward")
-        self.action = opening.get("action") or self.task.action
-        self.frame = opening.get("frame") or self.task.frame
+        views: dict[str, Any] = {
+            name: opening.get(name) or getattr(self.task, name) for name in _VIEWS
+        }
+        seen = replace(self.task, **views)
+        self.action, self.frame = seen.action, seen.frame
         self.leads = self.action in ("macro", "decision")  # a transition is a macro-action
-        relabel, observation = opening.get("relabel"), opening.get("observation")
-        observation = observation or self.task.observation
+        relabel = opening.get("relabel")
         self._labels, self._relabelled = opening.get("labels", False), relabel is not None
-        self._check(observation)
+        self._check(seen)
         picture, cache = opening.get("picture"), opening.get("cache")
-        canonical = self.frame == "canonical"
-        self._frames = DrawnFrames(self.dataset, observation, picture, cache, canonical)
+        self._frames = DrawnFrames(self.dataset, seen, picture, cache)
         episodes = self.dataset.episodes
         if relabel is None:
             self.episode, lengths = np.arange(episodes.episodes.rows), episodes.episodes["length"]
@@ -132,14 +136,13 @@ class Transitions:
         self.starts: Ids = np.concatenate([[0], np.cumsum(counts)])
         self._states = states
 
-    def _check(self, observation: str) -> None:
+    def _check(self, seen: TaskConfig) -> None:
         """Refuse settings that don't go together or that the dataset has no columns for."""
         steps, window, path = self.dataset.episodes.steps, self.window, self.dataset.path
         if window is not None and not isinstance(window, Window):
             raise InvalidInput(f"window must be such as Window(n_step=5), got {window!r}")
         goals = window is not None and window.goals is not None
         chunk = window is not None and window.chunk is not None
-        TaskConfig(task="tie", observation=observation, action=self.action, frame=self.frame)
         refusals = {
             f"the expert's actions are pulls: use labels without action {self.action!r}": (
                 self.leads and self._labels
@@ -148,7 +151,7 @@ class Transitions:
             " a policy that acts in macro-actions": self.leads and "macro_start" not in steps,
             "actions that follow one another are seen from where each begins: leave out chunk and"
             " history, or use frame 'world' and another action than 'decision'": (
-                (self.frame == "canonical" or self.action == "decision")
+                (seen.is_canonical or self.action == "decision")
                 and (chunk or (window is not None and window.history is not None))
             ),
             "the expert's actions lead to the episode's own goal: use labels without relabel": (
@@ -221,7 +224,7 @@ class Transitions:
         if self.frame == "world" and self.action != "decision":
             return {"actions": self.actions[rows]}
         goals = self._goals(self._segments(rows)) if goals is None else goals
-        frames = self._frames.frames_of(before, goals, self.frame == "canonical")
+        frames = self._frames.frames_of(before, goals)
         points = self._frames.points(before)
         if self.action == "macro":
             return {"actions": frames.macros(self.actions[rows], points.shape[1])}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from synthetic_episodes import TINY
 
-from knotgym.common import InvalidPolicy
+from knotgym.common import InvalidPolicy, Threads
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes, open_episodes
-from knotgym.envs import Observer, TaskConfig
+from knotgym.envs import OBSERVATIONS, Frames, TaskConfig
 from knotgym.loaders import Transitions, arrays, as_policy
 from knotgym.topology import Symmetry, label
 
@@ -120,9 +120,11 @@ def test_the_canonical_frame_shows_all_images_of_a_state_alike() -> None:
         image = Symmetry(turn, mirror, switch, False)
         points, wanted = image.vertices(rope), image.vertices(goal)
         visits = np.array([label(wanted[0]).visits], np.int16)
-        seen.append(
-            Observer(task).observe(points, visits, wanted, visits, lambda: np.zeros(0, np.uint8))
+        frames = Frames(
+            points, visits, wanted, visits, lambda ids: np.zeros(0, np.uint8), Threads()
         )
+        ids = np.arange(2)
+        seen.append(OBSERVATIONS["state"].observe(task, frames, ids[:1], ids[1:]))
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-6)
     np.testing.assert_allclose(seen[2], seen[0], atol=1e-6)
 

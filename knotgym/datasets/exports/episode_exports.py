@@ -40,10 +40,10 @@ from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.located import Located
 from knotgym.datasets.minari_form import METADATA, copy_file, data_files, metadata_of, write_minari
+from knotgym.envs import OBSERVATIONS
 
 _HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
 _TENTH = 10  # every tenth episode is for validation
-_LOOKS = {"pixels": "visual-", "state": ""}
 
 
 def to_minari(source: Located, root: Path, _: Replay) -> str:
@@ -110,13 +110,14 @@ def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
         raise InvalidInput(f"{source.title} has several datasets; export them one by one")
     dataset = columns_of(source.episodes[0])
     shown, count = dataset.task.observation, dataset.episodes.episodes.rows
-    looks = [name for name in _LOOKS if shown in (name, "both")]
+    shows = OBSERVATIONS[shown].parts or (shown,)
+    looks = [name for name in shows if OBSERVATIONS[name].ogbench is not None]
     if count < 2 or not looks:
         raise InvalidInput(
             "OGBench needs at least 2 episodes of pixels, state or both, for its training and its"
             f" validation file; {dataset.path} has {count} of {shown}"
         )
-    names = {look: _LOOKS[look] + _ogbench_name(dataset) for look in looks}
+    names = {look: f"{OBSERVATIONS[look].ogbench}{_ogbench_name(dataset)}" for look in looks}
     files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
     for wanted in files:
         require_output(out / wanted, folder=False, overwrite=overwrite, reads=[source.root])
@@ -134,11 +135,9 @@ def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
     steps = dataset.episodes.steps
     terminals = np.zeros(steps.rows, dtype=bool)
     terminals[dataset.episodes.last()] = True
-    seen = steps["observation"].reshape(steps.rows, -1)
-    if look != "state":
-        rows = dataset.episodes.episodes.rows
-        told = Counts.over(range(rows), "drawing episodes", rows)
-        seen = np.concatenate([dataset.select([k]).pictures(beside_goals=False) for k in told])
+    rows = dataset.episodes.episodes.rows
+    told = Counts.over(range(rows), "drawing episodes", rows)
+    seen = np.concatenate([dataset.select([k]).seen(look, alone=True) for k in told])
     return {"observations": seen, "actions": steps["action"], "terminals": terminals}
 
 

@@ -31,6 +31,7 @@ from knotgym.datasets.episodes import STEPS, Episodes, columns_in, gauss_codes
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 from knotgym.datasets.located import Located
+from knotgym.envs import OBSERVATIONS
 from knotgym.states import STATE_SPLITS, States, read_states
 
 _OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't exported
@@ -107,7 +108,7 @@ def _tables(
             yield "states", split, [part] if part.rows else []
     if len({one.task.engine for one in datasets}) > 1:
         raise InvalidInput("episodes exported together are of one engine; export each by itself")
-    pictures = all(one.task.observation in ("pixels", "both") for one in datasets)
+    pictures = all("picture" in OBSERVATIONS[one.task.observation].goal for one in datasets)
     stored = {name: values for one in datasets for name, values in one.episodes.steps.items()}
     lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
     rows = ROWS_OF_STEPS.with_own(stored)
@@ -182,7 +183,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "goal_points": own["goal_points"][episode],
     }
     if pictures:
-        columns["image"] = part.pictures(beside_goals=True)[..., :3]
+        columns["image"] = part.seen("pixels")[..., :3]
     return Table(ROWS_OF_STEPS.with_own(columns), columns)
 
 
