@@ -58,7 +58,7 @@ def test_an_engine(tmp_path: Path, monkeypatch: Patch) -> None:
 
 
 def rope_alone(frames: Any, ropes: Any, goals: Any) -> np.ndarray:
-    return OBSERVATIONS["state"].halves(frames, ropes)  # type: ignore[no-any-return]
+    return OBSERVATIONS["state"].halves(frames, ropes)
 
 
 ROPE = ObservationKind(
@@ -83,7 +83,9 @@ def test_every_observation_is_the_same_in_environments_arrays_and_minari(
         for here, own in ((held["observations"], seen), (minari.observations, seen)):
             parts = own if isinstance(own, dict) else {"": own}
             for part, value in parts.items():
-                np.testing.assert_array_equal(value, (here[part] if part else here)[k])
+                right = (here[part] if part else here)[k]
+                    # marked vertices are turned before they are rounded, or after
+                    np.testing.assert_allclose(value, right, rtol=0, atol=1e-5 * (name == "marked"))
         seen, *_ = env.step(action)
     if name == "rope":
         assert seen.shape == (300,)
