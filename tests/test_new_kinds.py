@@ -84,8 +84,8 @@ def test_every_observation_is_the_same_in_environments_arrays_and_minari(
             parts = own if isinstance(own, dict) else {"": own}
             for part, value in parts.items():
                 right = (here[part] if part else here)[k]
-                    # marked vertices are turned before they are rounded, or after
-                    np.testing.assert_allclose(value, right, rtol=0, atol=1e-5 * (name == "marked"))
+                # marked vertices are turned before they are rounded, or after
+                np.testing.assert_allclose(value, right, rtol=0, atol=1e-5 * (name == "marked"))
         seen, *_ = env.step(action)
     if name == "rope":
         assert seen.shape == (300,)
