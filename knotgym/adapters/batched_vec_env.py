@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import GoalBatch
 from knotgym.common import InvalidInput
-from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.envs import EpisodeBatch, KnotEnv, TaskConfig
 from knotgym.rope import action_space
 
 Indices = int | Iterable[int] | None
@@ -29,6 +29,7 @@ class BatchedVecEnv(VecEnv):
         self._actions: NDArray[Any] = np.empty(0)
         space, actions = self.episodes.space, action_space(config.action, config.beads)
         super().__init__(num_envs, space, actions)
+        self.metadata = {**self.metadata, "render_fps": KnotEnv.metadata["render_fps"]}  # of films
 
     def reset(self) -> Any:
         """Restart every episode, with the seeds and options that were set."""

@@ -24,6 +24,7 @@ from .configurations import configuration as configuration
 from .configurations import differences as differences
 from .configurations import from_json as from_json
 from .configurations import merged as merged
+from .configurations import python_values as python_values
 from .configurations import read_json as read_json
 from .counts import Counts as Counts
 from .errors import Failed as Failed

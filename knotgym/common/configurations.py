@@ -96,13 +96,22 @@ _WORDS = {  # pydantic's words, and ours
 _SHOWN = 80  # characters of a refused value that a message repeats
 
 
-def _plain(value: Any) -> Any:
-    """NumPy's numbers as Python's, lists as tuples; strict validation refuses them otherwise."""
-    if isinstance(value, np.number):
-        return value.item()
+def python_values(value: Any, lists: type = list) -> Any:
+    """NumPy's numbers, truth values, texts and arrays as Python's, which JSON takes.
+
+    Args:
+        value: a value, or dicts, lists and tuples of values.
+        lists: what becomes of lists.
+    """
+    if isinstance(value, np.longdouble):
+        return float(value)  # `item` returns it as it is
+    if isinstance(value, (np.generic, np.ndarray)):
+        return python_values(value.tolist(), lists)
     if isinstance(value, dict):
-        return {name: _plain(one) for name, one in value.items()}
-    return tuple(map(_plain, value)) if isinstance(value, (list, tuple)) else value
+        return {python_values(key): python_values(one, lists) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return (lists if isinstance(value, list) else tuple)(python_values(v, lists) for v in value)
+    return value
 
 
 def _of_name(hint: Any, value: Any) -> Any:
@@ -191,7 +200,10 @@ def configuration(cls: type[Config]) -> type[Config]:
 
     def __init__(self: Any, /, *values: Any, **fields: Any) -> None:
         try:
-            given = {n: _of_name(hints().get(n), _plain(value)) for n, value in fields.items()}
+            given = {
+                n: _of_name(hints().get(n), python_values(value, tuple))
+                for n, value in fields.items()
+            }
             validate(self, *values, **given)
         except ValidationError as error:
             _refuse(error, made)
@@ -237,8 +249,8 @@ def _jsonable(value: Any) -> Any:
     """A value that JSON lacks, as one that it has."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return dataclasses.asdict(value)
-    if isinstance(value, (np.integer, np.floating)):
-        return value.item()
+    if (plain := python_values(value)) is not value:
+        return plain
     raise InvalidInput(f"{value!r} isn't one")
 
 

@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, InvalidInput, MissingExtra
+from knotgym.common import Failed, InvalidInput, MissingExtra, python_values
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import action_space, warn_of_compilation
@@ -47,7 +47,11 @@ class _HorizonSpec(EnvSpec):
 
 
 class _KnowsHorizon:
-    """Keeps a spec, which Gymnasium sets, as a `_HorizonSpec`, for wrappers that read it."""
+    """Keeps a spec, which Gymnasium sets, as a `_HorizonSpec`, for wrappers that read it.
+
+    Its keywords are Python's own values: JSON has no NumPy scalars, and Minari's collector leaves a
+    spec without JSON out of its dataset in silence.
+    """
 
     config: TaskConfig
 
@@ -55,6 +59,7 @@ class _KnowsHorizon:
         if isinstance(value, EnvSpec):
             given, horizon, value = vars(value), self.config.horizon, object.__new__(_HorizonSpec)
             vars(value).update(given, horizon=horizon, max_episode_steps=horizon)
+            value.kwargs = python_values(given["kwargs"])
         super().__setattr__(name, value)
 
 

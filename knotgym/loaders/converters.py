@@ -5,6 +5,7 @@ Arrays have one row per transition and the keys of D4RL and OGBench.
 
 import os
 import sys
+from glob import escape
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -89,12 +90,10 @@ def statistics(dataset: Any, **opening: Unpack[Opening]) -> dict[str, dict[str, 
         InvalidInput: there are pictures, or no transitions.
     """
     transitions = Transitions(dataset, **opening)
-    goals, count = _drawn_generator(transitions), len(transitions)
-    if not count:
+    if not len(transitions):
         raise InvalidInput(f"{transitions.dataset.path} has no transitions to take statistics of")
     found = {"observations": Statistics(), "actions": Statistics()}
-    for first in range(0, count, _AT_ONCE):
-        block = transitions.batch(np.arange(first, min(first + _AT_ONCE, count)), rng=goals)
+    for _, block in transitions.blocks(_AT_ONCE, _drawn_generator(transitions)):
         for name, own in found.items():
             if isinstance(block[name], dict) or block[name].dtype == np.uint8:
                 raise InvalidInput("pictures need no statistics: divide them by 255")
@@ -218,10 +217,8 @@ def to_tensordict(
 
 def _map(tensordict: Any, transitions: Transitions, folder: Path) -> None:
     """Write the tensors of all transitions to mapped files in a new folder."""
-    goals, count, mapped = _drawn_generator(transitions), len(transitions), None
-    for first in range(0, max(1, count), _AT_ONCE):
-        some = slice(first, min(first + _AT_ONCE, count))
-        columns = transitions.batch(np.arange(some.start, some.stop), rng=goals)
+    count, mapped = len(transitions), None
+    for some, columns in transitions.blocks(_AT_ONCE, _drawn_generator(transitions)):
         block = _tensors(tensordict, transitions, columns, some)
         if mapped is None:
             mapped = block[:1].expand(count).memmap_like(folder) if count else block.memmap(folder)
@@ -359,7 +356,10 @@ def images(
 
     library = MissingExtra.imported("datasets", "huggingface")
     files: dict[str, list[str]] = {}
-    for shard in shards(path, split):
-        files.setdefault(shard.name.partition("-")[0], []).append(str(shard))
+    for shard in map(Path.absolute, shards(path, split)):
+        if "::" in str(shard):
+            raise InvalidInput(f"Hugging Face takes '::' for a chain of paths, got {shard}")
+        # a path is a pattern there: of `run[1]` the rows of `run1` would be read
+        files.setdefault(shard.name.partition("-")[0], []).append(escape(str(shard)))
     wanted = None if split is None else next(iter(files))
     return library.load_dataset("parquet", data_files=files, split=wanted)

@@ -1,6 +1,5 @@
 """Pictures with labels as arrays."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.datasets import arrow
+from knotgym.loaders.items import Index, rows_at
 from knotgym.quality import GRADES
 from knotgym.topology import GaussCode
 
@@ -63,14 +63,16 @@ class Pictures:
         image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
         return np.ascontiguousarray(np.moveaxis(np.asarray(image, dtype=np.uint8), -1, 0))
 
-    def batch(self, rows: Sequence[int] | NDArray[np.int64], **_: Any) -> dict[str, Any]:
+    def batch(self, rows: Index, **_: Any) -> dict[str, Any]:
         """Return rows as a dict of arrays, `image` uint8 (n, 3, size, size) among them.
 
         Raises:
-            InvalidInput: the pictures have several sizes.
+            IndexError: a row is out of range, or no whole number.
+            InvalidInput: the pictures have several sizes, or there are none.
         """
+        rows = rows_at(rows, len(self), several=True)
         images = [self.picture(int(row)) for row in rows]
-        if len(sizes := {image.shape for image in images}) > 1:
+        if len(sizes := {image.shape for image in images}) != 1:
             raise InvalidInput(f"pictures of {len(sizes)} sizes make no batch; ask for one size")
         return {"image": np.stack(images), **{k: one[rows] for k, one in self.labels.items()}}
 

@@ -1,7 +1,6 @@
 """Torch datasets over `Transitions`, pictures and streams. Importing this needs torch."""
 
 import os
-from collections.abc import Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -10,10 +9,11 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, IterableDataset
 
-from knotgym.common import Stream
+from knotgym.common import Ids, Stream
 from knotgym.datasets import read_table
 from knotgym.envs import Observer
 from knotgym.loaders.data_stream import DataStream
+from knotgym.loaders.items import Index, rows_at
 from knotgym.loaders.pictures import Pictures
 from knotgym.loaders.transitions import Transitions
 
@@ -21,7 +21,7 @@ _SEVERAL = ("pulls", "negatives")  # of one transition
 
 
 class TransitionDataset(Dataset[dict[str, Any]]):
-    """Transitions. An index gives one, a list of indices gives a batch.
+    """Transitions. An index gives one; a slice, list, array or tensor of indices gives a batch.
 
     `DataLoader(data, sampler=BatchSampler(RandomSampler(data), 256, False), batch_size=None)` reads
     whole batches at once. Goals of a window are sampled whenever an item is read, from the random
@@ -34,12 +34,11 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __len__(self) -> int:
         return len(self.transitions)
 
-    def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
-        if not isinstance(index, (int, np.integer)):
-            return self._batch(index)
-        return Observer.map_parts(self._batch([index]), itemgetter(0))
+    def __getitem__(self, index: Index) -> dict[str, Any]:
+        rows = rows_at(index, len(self))
+        return self._batch(rows) if rows.ndim else _first(self._batch(rows[None]))
 
-    def _batch(self, index: Sequence[int]) -> dict[str, Any]:
+    def _batch(self, index: Ids) -> dict[str, Any]:
         window, rng = self.transitions.window, None
         if window is not None and window.goals is not None:
             # torch seeds every worker, from the DataLoader's own generator
@@ -67,9 +66,10 @@ class PictureDataset(Pictures, Dataset[dict[str, Any]]):
         grade       int64 (): index in `knotgym.quality.GRADES`
         accepted    bool ()
 
-    The PNGs are kept in memory (about 3 kB for a picture of 128 x 128) and shared by forked
-    workers; they are decoded on demand. Pictures of one size batch with the default collate
-    function; for several sizes, pass your own batch sampler or collate function.
+    Several items, by a slice, list, array or tensor, have an axis more. The PNGs are kept in memory
+    (about 3 kB for a picture of 128 x 128) and shared by forked workers; they are decoded on
+    demand. Pictures of one size batch with the default collate function; for several sizes, pass
+    your own batch sampler or collate function.
 
     Attributes:
         max_nx: number of crossings that labels are padded to.
@@ -89,14 +89,11 @@ class PictureDataset(Pictures, Dataset[dict[str, Any]]):
         self.max_nx = most
         self.labels = {name: torch.from_numpy(column) for name, column in self.labels.items()}
 
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"index {index} is outside a dataset of {len(self)}")
-        row = index % len(self)
-        return {
-            "image": torch.from_numpy(self.picture(row)),
-            **{name: column[row] for name, column in self.labels.items()},
-        }
+    def __getitem__(self, index: Index) -> dict[str, Any]:
+        rows = rows_at(index, len(self))
+        batch = self.batch(np.atleast_1d(rows))
+        batch["image"] = torch.from_numpy(batch["image"])
+        return batch if rows.ndim else _first(batch)
 
 
 class TorchStream(DataStream, IterableDataset[dict[str, Any]]):
@@ -115,6 +112,10 @@ class TorchStream(DataStream, IterableDataset[dict[str, Any]]):
         # new memory: a worker of before that starts late still writes into the old one
         self._shared = torch.zeros(1024, dtype=torch.int64)  # more workers than any machine has
         self._begun = self._shared.share_memory_().numpy()
+
+
+def _first(batch: dict[str, Any]) -> dict[str, Any]:
+    return dict(Observer.map_parts(batch, itemgetter(0)))
 
 
 def _tensor(seen: NDArray[Any]) -> torch.Tensor:

@@ -9,8 +9,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
     transition t   of segment s leads from state t + s to state t + s + 1
 """
 
-import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, TypedDict, Unpack
@@ -22,6 +21,7 @@ from knotgym.common import Array, Ids, InvalidInput, Table
 from knotgym.datasets import Episodes, columns_of
 from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames
+from knotgym.loaders.items import Index, rows_at
 from knotgym.loaders.windows import GoalSampling, Window
 from knotgym.rope import ActionView, nearest_beads
 
@@ -386,21 +386,44 @@ class Transitions:
             InvalidInput: goals are sampled, and there is no generator; or no other goal exists.
             InvalidInput: halves of marked observations are needed, for `apart` or negatives.
         """
-        wanted, count = np.asarray(rows), len(self)
-        if wanted.dtype.kind in "iu":
-            wrong = wanted if wanted.ndim != 1 else wanted[(wanted < -count) | (wanted >= count)]
-        else:
-            wrong = wanted  # a mask would be taken for the rows 0 and 1
-        if wrong.size or wanted.ndim != 1:
-            given = reprlib.repr(wrong.tolist())
-            raise IndexError(f"rows must be a list of whole numbers below {count}, got {given}")
-        rows = wanted.astype(np.int64) % max(1, count)
-        window, sampled = self.window or Window(), None
-        segments = self._segments(rows)
-        if window.goals is not None:
-            if rng is None:
-                raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
-            sampled = self._sampled_goals(rows, window.goals, rng)
+        rows = rows_at(np.asarray(rows), len(self), several=True)
+        return self._batch(rows, apart, *self._drawn(rows, rng))
+
+    def blocks(
+        self, size: int, rng: np.random.Generator | None
+    ) -> Iterator[tuple[slice, dict[str, Any]]]:
+        """Yield all transitions in batches, as `batch` of all at once; where none are, one batch.
+
+        Args:
+            size: transitions of a batch, on which nothing that is drawn depends.
+            rng: generator of the goals, if the window samples them.
+        """
+        rows = np.arange(len(self))
+        drawn = self._drawn(rows, rng)
+        for first in range(0, max(1, len(rows)), size):
+            some = slice(first, min(first + size, len(rows)))
+            own = (None if one is None else one[some] for one in drawn)
+            yield some, self._batch(rows[some], False, *own)
+
+    def _drawn(
+        self, rows: Ids, rng: np.random.Generator | None
+    ) -> tuple[Ids | None, NDArray[np.int64] | None]:
+        """Draw the goals of transitions and the negatives: (n,) and (n, negatives), or None."""
+        goals = self.window.goals if self.window else None
+        if goals is None:
+            return None, None
+        if rng is None:
+            raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
+        sampled = self._sampled_goals(rows, goals, rng)
+        if not goals.negatives:
+            return sampled, None
+        codes = self._codes_held[0]
+        return sampled, _other_codes(codes, codes[sampled], goals.negatives, rng)
+
+    def _batch(
+        self, rows: Ids, apart: bool, sampled: Ids | None, others: Ids | None
+    ) -> dict[str, Any]:
+        window, segments = self.window or Window(), self._segments(rows)
         goals = self._goals(segments) if sampled is None else self._states[sampled]
         steps, found = _returns(window.discount, *self._outcomes(rows, window.n_step, sampled))
         states = rows + segments
@@ -430,11 +453,8 @@ class Transitions:
                 kept = past >= self.starts[segments][:, None]
                 batch[f"{name}history"] = _masked(self._taken, past, kept)
                 batch[f"{name}history_mask"] = kept
-        if sampled is not None and rng is not None and window.goals is not None:
-            if window.goals.negatives:
-                codes = self._codes_held[0]
-                others = _other_codes(codes, codes[sampled], window.goals.negatives, rng)
-                batch["negatives"] = self._frames.alone([self._states[others]])[0]
+        if others is not None:
+            batch["negatives"] = self._frames.alone([self._states[others]])[0]
         return batch
 
     def _sampled_goals(self, rows: Ids, goals: GoalSampling, rng: np.random.Generator) -> Ids:
@@ -529,16 +549,17 @@ class Sequences:
         """Return the number of stretches."""
         return len(self.starts)
 
-    def __getitem__(self, index: int) -> dict[str, NDArray[Any]]:
-        """Return a stretch as views of the columns, copying nothing, and the number of its episode.
+    def __getitem__(self, index: Index) -> dict[str, NDArray[Any]]:
+        """Return a copy of a stretch and the number of its episode; of several, with an axis more.
 
         observation is float32 (length, beads, 3), the rope alone; the goal is
         `dataset.episodes.episodes["goal_points"][episode]`, and episode an array of one number.
         """
-        first, steps = int(self.starts[index]), self.dataset.episodes.steps
-        found = {name: steps[name][first : first + self.length] for name in self.columns}
-        episode = np.searchsorted(self._offsets, first, side="right") - 1
-        return {**found, "episode": np.array([episode])}
+        first, steps = self.starts[rows_at(index, len(self))], self.dataset.episodes.steps
+        at = first[..., None] + np.arange(self.length)
+        # indices copy: torch would write into mapped columns, which ends the process
+        found = {name: steps[name][at] for name in self.columns}
+        return {**found, "episode": np.searchsorted(self._offsets, first[..., None], "right") - 1}
 
 
 def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArray[Any]:

@@ -26,6 +26,7 @@ def test_steps_are_those_of_single_environments(states_path: str, observation: s
     make = goal_env if goals else KnotEnv
     singles = vec_env.VecMonitor(vec_env.DummyVecEnv([lambda: make("unknot", **settings)] * 3))
     assert batched.observation_space == singles.observation_space
+    assert batched.venv.metadata["render_fps"] == KnotEnv.metadata["render_fps"]
     rng, rows, ended = np.random.default_rng(0), 0, 0
     for each in (batched, singles):
         each.seed(7)

@@ -392,7 +392,9 @@ SHORT: dict[str, Any] = {"engine": "chain", "observation": "state", "horizon": 4
 
 
 def test_a_spec_survives_json_with_horizon(registered: Callable[..., gym.Env[Any, Any]]) -> None:
-    settings: dict[str, Any] = {"nx": 3, "split": "test", "reset_noise": 0.01, "action": "bead"}
+    # NumPy's scalars, from which JSON can't be made
+    settings: dict[str, Any] = {"nx": np.int64(3), "split": np.str_("test"), "action": "bead"}
+    settings |= {"reset_noise": np.float32(0.25), "depth": np.bool_(False)}
     env: Any = registered(
         "knotgym/Convert-v0", hold=2, rope={"joint_damping": 0.02}, **settings, **SHORT
     )
@@ -401,8 +403,8 @@ def test_a_spec_survives_json_with_horizon(registered: Callable[..., gym.Env[Any
     assert again.unwrapped.config == env.unwrapped.config
     assert env.spec.max_episode_steps == 4 and env.unwrapped.config.rope == {"joint_damping": 0.02}
     assert same(again.reset(seed=0), env.reset(seed=0))
-    many = gym.make_vec("knotgym/Tie-v0", num_envs=2, **SHORT)
-    assert many.spec is not None and many.spec.max_episode_steps == 4
+    many = gym.make_vec("knotgym/Tie-v0", num_envs=2, nx=np.uint8(2), **SHORT)
+    assert many.spec is not None and many.spec.max_episode_steps == 4 and many.spec.to_json()
     assert gym.make_vec(many.spec).unwrapped.config.horizon == 4  # type: ignore[attr-defined]
 
 
@@ -414,7 +416,7 @@ def test_another_limit_of_gymnasium_is_honoured_or_said_to_be_without_effect(
     env.reset(seed=0)
     ends = [env.step(np.zeros(6, np.float32))[3] for _ in range(truth)]
     assert ends == [False] * (truth - 1) + [True]
-    assert env.spec is not None and env.spec.max_episode_steps == truth
+    assert env.spec is not None and env.spec.max_episode_steps == truth and env.spec.to_json()
     assert (limit > 4) == any(
         "make the environment with horizon=120" in str(w.message) for w in recwarn
     )

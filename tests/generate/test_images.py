@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pytest_types import Capture, Patch
 
-from knotgym.common import Failed, InvalidFile
+from knotgym.common import Failed, InvalidFile, InvalidInput
 from knotgym.control import dataset_faults
 from knotgym.datasets import PictureRow, decode, drawn_table, parquet, read_rows, read_table, shards
 from knotgym.generate.generate_config import ImagesConfig
@@ -217,9 +217,12 @@ def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
     folder: Path, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     (tmp_path / "datasets.py").write_text("def load_dataset(*_, **__): return 'theirs'\n")
+    shutil.copytree(folder, tmp_path / "a::b")
     monkeypatch.setattr(sys, "path", [str(ROOT), str(tmp_path)])
     monkeypatch.delitem(sys.modules, "datasets", raising=False)
     assert load(folder, kind="huggingface") == "theirs"
+    with pytest.raises(InvalidInput, match="takes '::' for a chain of paths, got .*a::b"):
+        load(tmp_path / "a::b", kind="huggingface")
     del sys.modules["datasets"]
     assert sys.path == [str(ROOT), str(tmp_path)]
 
@@ -259,14 +262,16 @@ def hugging_face(tmp_path: Path, monkeypatch: Patch) -> Any:
 @pytest.mark.clients
 @pytest.mark.parametrize("way", ["our loader", "the card", "one split"])
 def test_hugging_face_reads_every_column_of_every_split(
-    way: str, folder: Path, rows: list[dict[str, Any]], hugging_face: Any
+    way: str, folder: Path, rows: list[dict[str, Any]], hugging_face: Any, tmp_path: Path
 ) -> None:
     splits = ["train"] if way == "one split" else IMAGE_SPLITS
     wanted = {name: [row for row in rows if row["split"] == name] for name in splits}
     if way == "the card":
         found = hugging_face.load_dataset(str(folder))
     elif way == "our loader":
-        found = load(folder, kind="huggingface")
+        shutil.copytree(folder, tmp_path / "run[12]")  # a pattern of its library's, of run1, too
+        (tmp_path / "run1").mkdir()
+        found = load(tmp_path / "run[12]", kind="huggingface")
     else:
         found = {"train": load(folder, "train", "huggingface")}
     assert set(found) == {name.replace("-", "_") for name, own in wanted.items() if own}

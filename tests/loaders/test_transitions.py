@@ -9,21 +9,24 @@ import numpy as np
 import pytest
 from pytest_types import Patch
 from synthetic_episodes import BEADS, TASK, TINY, episodes, written
+from synthetic_pictures import picture_rows
 
 from knotgym.common import InvalidFile, InvalidInput, Occupied, Table
-from knotgym.datasets import STEPS, Episodes, open_episodes
+from knotgym.datasets import STEPS, Episodes, drawn_table, open_episodes, parquet
 from knotgym.envs import KnotEnv
 from knotgym.loaders import (
+    GoalSampling,
     Sequences,
     Transitions,
     Window,
     arrays,
+    images,
     statistics,
     to_d3rlpy,
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering import PictureConfig
+from knotgym.rendering import AppearanceConfig, PictureConfig
 
 LENGTHS = [3, 1, 6, 2]
 N, S = sum(LENGTHS), len(LENGTHS)
@@ -216,13 +219,39 @@ def test_an_empty_dataset_is_empty_and_a_recording_refused(tmp_path: Path, made:
     )
 
 
-def test_sequences_are_views_of_the_columns(made: Episodes, path: Path) -> None:
+def test_sequences_are_copies_of_the_columns(made: Episodes, path: Path) -> None:
     data = Sequences(path, 3)
     assert data.starts.tolist() == [0, 1, 6, 7, 8, 9, 10, 13]
     one = data[3]
     np.testing.assert_array_equal(one["observation"], made.steps["observation"][7:10])
-    assert one["episode"].tolist() == [2] and not one["observation"].flags.owndata
+    assert one["episode"].tolist() == [2]
+    one["observation"][:] = 0  # as torch would in mapped memory, which ended the process
+    several = data[[2, 3]]
+    assert several["episode"].tolist() == [[2], [2]] and several["observation"][1].any()
     assert len(pickle.loads(pickle.dumps(data))) == len(data)
+
+
+@clients
+def test_items_of_all_datasets_are_taken_by_any_index(path: Path, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    ropes = open_episodes(TINY["expert"]).episodes.steps["observation"][:4].astype(np.float64)
+    table = drawn_table(picture_rows([*ropes]), AppearanceConfig())
+    (tmp_path / "train.parquet").write_bytes(parquet(table))
+    every: Any = torch_dataset(path), Sequences(path, 3), images(tmp_path / "train.parquet")
+    for data in every:
+        ones = [*data]
+        for part in ones[0].values():
+            part[...] = 9  # changes no other reader's item
+        ones[0] = data[0]
+        for index in (1, np.uint8(1), np.array(1), torch.tensor(1), 1 - len(data)):
+            assert all((part == ones[1][name]).all() for name, part in data[index].items())
+        for several in ([2, 0], np.array([2, 0]), torch.tensor([2, 0]), slice(2, None, -2)):
+            for name, part in data[several].items():
+                assert (part == np.stack([ones[2][name], ones[0][name]])).all()
+        for wrong in (len(data), -len(data) - 1, True, 1.5, "1", [[1]], torch.ones(3) > 0):
+            with pytest.raises(IndexError, match=f"whole numbers below {len(data)}, got "):
+                data[wrong]
+        assert len([*torch.utils.data.Subset(data, torch.randperm(3))]) == 3
 
 
 @clients
@@ -242,9 +271,15 @@ def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, wo
 
 
 @clients
-def test_a_tensordict_holds_all_transitions_in_memory_or_mapped(path: Path, tmp_path: Path) -> None:
+def test_a_tensordict_holds_all_transitions_in_memory_or_mapped(
+    path: Path, tmp_path: Path, monkeypatch: Patch
+) -> None:
     pytest.importorskip("tensordict")
     held = arrays(path)
+    monkeypatch.setattr("knotgym.loaders.converters._AT_ONCE", 5)
+    drawn: Any = {"window": Window(goals=GoalSampling(negatives=2))}  # they depend on no block
+    once, mapped = to_tensordict(path, **drawn), to_tensordict(path, folder=tmp_path / "a", **drawn)
+    assert (once == mapped).all() and len(once["negatives"]) == N
     for data in (to_tensordict(path), to_tensordict(path, folder=tmp_path / "td")):
         assert data.batch_size == (N,)
         np.testing.assert_array_equal(data["observation"].numpy(), held["observations"])
@@ -259,7 +294,7 @@ def test_a_tensordict_holds_all_transitions_in_memory_or_mapped(path: Path, tmp_
     with pytest.raises(Occupied, match="own exists already; choose another folder"):
         to_tensordict(path, relabel="all", folder=tmp_path / "own")
     np.testing.assert_array_equal(mapped["action"].numpy(), held["actions"])
-    assert {one.name for one in tmp_path.iterdir()} == {"own", "td"}
+    assert {one.name for one in tmp_path.iterdir()} == {"a", "own", "td"}
 
 
 @clients
@@ -296,8 +331,8 @@ def test_several_datasets_load_as_one(tmp_path: Path) -> None:
 
 def test_statistics_are_those_of_the_arrays(path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.loaders.converters._AT_ONCE", 5)
-    held = arrays(path)
-    found = statistics(path)
+    drawn: Any = {"window": Window(goals=GoalSampling())}
+    held, found = arrays(path, **drawn), statistics(path, **drawn)
     for name in ("observations", "actions"):
         np.testing.assert_allclose(found[name]["mean"], held[name].mean(axis=0), atol=1e-6)
         spread = held[name].std(axis=0)
