@@ -29,7 +29,7 @@ class BatchedVecEnv(VecEnv):
         self._actions: NDArray[Any] = np.empty(0)
         space, actions = self.episodes.space, action_space(config.action, config.beads)
         super().__init__(num_envs, space, actions)
-        self.metadata = {**self.metadata, "render_fps": KnotEnv.metadata["render_fps"]}  # of films
+        self.metadata = {**KnotEnv.metadata}  # how fast films are
 
     def reset(self) -> Any:
         """Restart every episode, with the seeds and options that were set."""
