@@ -11,6 +11,7 @@ UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "
 
 # file -> why a module that it imports by a computed name isn't named by data
 IMPORTS = {
+    "cli/program.py": "packages that installed entry points name",
     "common/errors.py": "optional libraries, names in the code",
     "control/own_policies.py": "module:name, which the user types; never from a file",
     "control/policies.py": "modules of its room, names in the code",
@@ -18,6 +19,7 @@ IMPORTS = {
     "datasets/exports/__init__.py": "functions of its table, named in the code",
     "generate/generate_config.py": "its recipe, named in the code",
     "prompting/chat.py": "the HTTP library of the client that is installed",
+    "rope/engines.py": "simulations and kernels of engines, named in the code",
     "states/sources.py": "recipes of sources, named in the code; a file names a source, not code",
     "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",
     "rendering/variation.py": "painters of appearances, named in the code",
