@@ -7,7 +7,6 @@ knotgym/Convert-v0 with Gymnasium, and knotgym/tie-nx2-v0 and the like for OGBen
 
 import os
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import gymnasium
 import lazy_loader
@@ -19,37 +18,6 @@ try:
     __version__ = version("knotgym")
 except PackageNotFoundError:  # a checkout that isn't installed
     __version__ = "0+unknown"
-
-
-def _is_writable(folder: Path) -> bool:
-    """Return whether a folder, or its nearest existing parent, is writable."""
-    existing = next(one for one in (folder, *folder.parents) if one.exists())
-    return existing.is_dir() and os.access(existing, os.W_OK)
-
-
-def _require_kernel_cache() -> None:
-    """Give numba a temporary cache folder if it has no other.
-
-    Numba caches compiled functions in the package's folder or in the user's cache folder. If it can
-    write to neither, importing a cached function fails. The temporary folder is deleted when the
-    process ends.
-    """
-    user = (
-        Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")).absolute()
-        / "numba"
-    )
-    package = Path(__file__).parent / "__pycache__"
-    # Numba unpickles the files in its cache folder. Unless the variable is set, a
-    # .numba_config.yaml in the current folder could choose that folder; "" means the default.
-    if os.environ.setdefault("NUMBA_CACHE_DIR", "") or any(map(_is_writable, (package, user))):
-        return
-    import atexit
-    import shutil
-    import tempfile
-
-    folder = tempfile.mkdtemp(prefix="knotgym-numba-")  # only this user can write: it holds code
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = folder  # worker processes inherit it
 
 
 def _ignore_numba_config() -> None:
@@ -73,7 +41,6 @@ def _ignore_numba_config() -> None:
         sys.modules["yaml"] = yaml
 
 
-_require_kernel_cache()
 _ignore_numba_config()
 
 

@@ -70,6 +70,8 @@ def test_every_line_runs_as_it_stands(pages: tuple[str, ...], tmp_path: Path) ->
             print(f"{time.monotonic() - began:6.1f} s  {page}: {text.splitlines()[0]}", flush=True)
             said = f"{page}: {text}\n{ended.stdout[-1000:]}\n{ended.stderr[-2000:]}"
             assert ended.returncode == 0 and "Traceback" not in ended.stderr, said
+    unknown = ["git", "status", "--porcelain"]  # git ignores what the lines make
+    assert not subprocess.run(unknown, cwd=checkout, capture_output=True, check=True).stdout
     assert len(run) > 5 * len(pages)  # commands and blocks were found
     assert (checkout / "knotgym-data/nx3/states.h5").is_file()
     assert (checkout / "clone" / "policy.json").is_file()

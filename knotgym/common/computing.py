@@ -1,5 +1,6 @@
 """What makes computing fast: decorators of compiled functions, and rows divided among threads.
 
+A `kernel` is called from Python; its machine code is kept for all processes of this user (`_Kept`).
 Numba makes wrappers of each function through which Python and C could call it. A function that only
 compiled code calls is `inner`, without them: a tenth of the compilation is saved, and no bit of a
 result differs. Called from Python such functions crash, so tests call `njit(function.py_func)`. A
@@ -11,23 +12,115 @@ unless it is long, when Numba's analysis takes more than LLVM saves.
 not depend on the rows beside it; then the number of threads changes nothing.
 """
 
+import atexit
 import gc
+import hashlib
+import inspect
 import os
-from collections.abc import Callable
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
+from types import FunctionType
 from typing import Any, ClassVar
 from weakref import finalize
 
-from numba import njit
+import numba
+import numpy as np
+from numba import extending, njit
 from numba.core import event
+from numba.core.caching import CacheImpl
+from numba.core.dispatcher import Dispatcher
+from numba.misc.appdirs import AppDirs
 
 _CGROUPS = Path("/sys/fs/cgroup")
+_MEANT = Dispatcher, type(extending.intrinsic(lambda context: None))
+_CONSTANTS = int, float, tuple, np.generic, np.ndarray
+
+
+@cache
+def _machine_code() -> Path:
+    """Return the folder of kept machine code: NUMBA_CACHE_DIR, or one in the user's cache folder.
+
+    Numba unpickles what lies there, so it must be this user's, and no other's to write. If there is
+    none, the package's folder will do, or a temporary one that is deleted when the process ends.
+    """
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(given)
+    name = f"kernels-numba-{numba.__version__}-{sys.implementation.cache_tag}"
+    for parent in (AppDirs("knotgym", False).user_cache_dir, Path(__file__).parent / "__pycache__"):
+        with suppress(OSError):
+            folder = Path(parent, name)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(0o700, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            found = folder.stat()
+            if os.name == "nt" or (found.st_uid == os.geteuid() and not found.st_mode & 0o022):
+                return folder
+    folder = Path(tempfile.mkdtemp(prefix="knotgym-numba-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)  # worker processes inherit it
+    return folder
+
+
+def _sources(module: Any, seen: set[str]) -> Iterator[str]:
+    """Yield what a module's kernels are made from: its source and constants, and those of modules
+    whose compiled functions and named tuples it imports.
+    """
+    seen.add(module.__name__)
+    yield inspect.getsource(module)
+    for name, value in sorted(vars(module).items()):
+        home = str(getattr(value, "__module__", ""))
+        if isinstance(value, _MEANT) or (isinstance(value, type) and issubclass(value, tuple)):
+            if home in sys.modules and home.startswith("knotgym.") and home not in seen:
+                yield from _sources(sys.modules[home], seen)
+        elif isinstance(value, _CONSTANTS) and not name.startswith("__"):
+            text = value.tobytes() if isinstance(value, np.ndarray) else value
+            yield re.sub(" at 0x[0-9a-f]+", "", f"{name} = {text!r}")
+
+
+class _Kept:
+    """Where numba keeps the machine code of a kernel: by what it was made from, not by its path.
+
+    So a checkout and an installed package share it, and a changed callee compiles its callers
+    again. Numba's own stamp is of the one file.
+    """
+
+    def __init__(self, function: FunctionType, file: str) -> None:
+        self._py_file = file  # numba's warnings name it
+        self._name = function.__qualname__
+        options = re.findall("^[a-z]+ = njit.*", inspect.getsource(sys.modules[__name__]), re.M)
+        parts = *options, *_sources(sys.modules[function.__module__], set())
+        self._stamp = hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    @classmethod
+    def from_function(cls, function: FunctionType, file: str) -> "_Kept | None":
+        ours = function.__module__.partition(".")[0] in ("knotgym", "pyknotid")
+        return cls(function, file) if ours else None
+
+    def get_cache_path(self) -> str:
+        return str(_machine_code() / f"{self._name}-{self._stamp[:32]}")
+
+    def ensure_cache_path(self) -> None:
+        os.makedirs(self.get_cache_path(), exist_ok=True)
+
+    def get_source_stamp(self) -> str:
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        return self._stamp[:8]
+
+
+CacheImpl._locator_classes.insert(0, _Kept)  # in every release of numba that pyproject.toml allows
 
 # 1 / 0 is infinite and 0 / 0 NaN, as in NumPy: no branches are compiled that raise an exception
+kernel = njit(cache=True, nogil=True, error_model="numpy")
 inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 inlined = njit(nogil=True, inline="always", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 

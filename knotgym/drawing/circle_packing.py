@@ -22,11 +22,10 @@ draw it without folds.
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Array, Ids, inner
+from knotgym.common import Array, Ids, inner, kernel
 from knotgym.topology import GaussCode, faces
 
 CUTS = 3  # nodes inside an edge; two are enough for a simple triangulation
@@ -153,7 +152,7 @@ def _between(one: float, own: float, other: float) -> float:
     return float(2 * _angle_of(np.sqrt(1 - square), np.sqrt(square)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _radii(first: Ids, petals: Ids, inner: NDArray[np.bool_]) -> Array:
     """Compute the radii, float64 (nodes,), for which the angles at each inner node sum to 2 pi."""
     nodes = len(inner)
@@ -179,7 +178,7 @@ def _radii(first: Ids, petals: Ids, inner: NDArray[np.bool_]) -> Array:
     return radii
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _laid_out(radii: Array, first: Ids, petals: Ids, inner: NDArray[np.bool_], start: int) -> Array:
     """Place the centres breadth-first from the inner node `start`, float64 (nodes, 2).
 
@@ -222,7 +221,7 @@ def _laid_out(radii: Array, first: Ids, petals: Ids, inner: NDArray[np.bool_], s
     return at
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def sin_cos(x: float) -> tuple[float, float]:
     """Return the sine and the cosine of an angle of a few turns at most, radians."""
     quarters = np.rint(x / (np.pi / 2))
@@ -237,7 +236,7 @@ def sin_cos(x: float) -> tuple[float, float]:
     return sine, cosine
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _angle_of(x: float, y: float) -> float:
     """Return the angle of a vector from the x axis, in [-pi, pi]; 0 for the zero vector."""
     far = np.sqrt(x * x + y * y)

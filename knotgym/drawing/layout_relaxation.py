@@ -21,10 +21,9 @@ After a change run `pytest tests/drawing`: forces must be minus the gradients of
 then `knotgym generate --no-demonstrations --nx 0-4 --every-code 1`: all 401 codes must be drawn.
 """
 
-import numba
 import numpy as np
 
-from knotgym.common import Array, Ids, inner
+from knotgym.common import Array, Ids, inner, kernel
 
 # These were set by eye when drawings were introduced (2026, commits 78e73fb and 2cf8d22).
 # `benchmarks/drawing.py` at f6d1acb halves and doubles each. Of 60 codes of nx 6, drawn once, 53 %
@@ -75,7 +74,7 @@ def _split(at: Array, walk: Ids) -> tuple[Array, Ids]:
     return np.concatenate([at, midpoints]), np.stack([walk, cuts], axis=1).ravel()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _relax(
     at: Array,
     walk: Ids,
@@ -220,7 +219,7 @@ def _hold_back(walk: Ids, move: Array, limit: Array, pairs: Ids, gaps: Array, ne
                 limit[one] = min(limit[one], share)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _stiffen(
     at: Array, walk: Ids, length: Array, force: Array, stiff: Array, bending: float
 ) -> None:
@@ -264,7 +263,7 @@ def _stiffen(
         stiff[after] += weight / on**2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _square(at: Array, walk: Ids, visits: Ids, force: Array, stiff: Array, crossing: float) -> None:
     """Add the force that turns crossing strands perpendicular.
 
@@ -292,7 +291,7 @@ def _square(at: Array, walk: Ids, visits: Ids, force: Array, stiff: Array, cross
             stiff[b] += 2 * crossing / long**2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _repel(
     at: Array,
     walk: Ids,

@@ -24,10 +24,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
-from knotgym.common import Array, Counts, InvalidInput, Stream, inner
+from knotgym.common import Array, Counts, InvalidInput, Stream, inner, kernel
 from knotgym.generate.curve_files import Curve, read_curves
 from knotgym.generate.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import Limits, Quality
@@ -169,7 +168,7 @@ def _missed(fault: str, quality: Quality, limits: Limits) -> str:
     return f"{fault} is {value:.3g} {unit}, limit {getattr(limits, fault)}"
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _iterate(p: Array, length: float) -> None:
     """Run one round in place."""
     n = len(p)

@@ -15,10 +15,9 @@ After a change run what `shape_hypotheses` says.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import Array, inner
+from knotgym.common import Array, inner, kernel
 from knotgym.topology import CROSSING, scan
 
 BEADS = 100
@@ -64,7 +63,7 @@ def decode(picture: NDArray[np.uint8]) -> Pixels:
     return Pixels(at, along, weight)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bead_moments(at: Array, along: Array, weight: Array, axis: Array, gate: float) -> Array:
     """Gather the pixels of each bead: their weight, mean and covariance.
 
@@ -109,7 +108,7 @@ def bead_moments(at: Array, along: Array, weight: Array, axis: Array, gate: floa
     return sums
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def interpolated_axis(moments: Array, least: float) -> Array:
     """Return bead positions (BEADS, 2), interpolated between beads of weight at least `least`."""
     axis = np.zeros((BEADS, 2))
@@ -127,7 +126,7 @@ def interpolated_axis(moments: Array, least: float) -> Array:
     return axis
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def crossing_votes(picture: NDArray[np.uint8], vertices: Array, colours: Array) -> Array:
     """Decide by colour which strand is over at each crossing of an axis.
 
@@ -164,7 +163,7 @@ def crossing_votes(picture: NDArray[np.uint8], vertices: Array, colours: Array) 
     return votes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def enforce_votes(vertices: Array, votes: Array, least: float, reach: int) -> None:
     """Raise and lower strands, in place, until every crossing agrees with its vote.
 

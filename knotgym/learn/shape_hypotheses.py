@@ -17,10 +17,9 @@ the interval of docs/benchmark.md.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import Array, Ids
+from knotgym.common import Array, Ids, kernel
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader import Reader
 from knotgym.rendering import draw
@@ -152,7 +151,7 @@ def _directions(points: Array, bead: int) -> Array:
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest_beads(points: Array, positions: Array, named: Array) -> Ids:
     """Return, for each particle, the bead that naming a point would pull, int64 (particles,)."""
     found = np.empty(len(positions), np.int64)
@@ -171,7 +170,7 @@ def _nearest_beads(points: Array, positions: Array, named: Array) -> Ids:
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _expected_worth(
     points: Array, positions: Array, candidates: Array, bead: int, near: Array
 ) -> Array:

@@ -10,8 +10,9 @@ computation.
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from knotgym.common import inlined, kernel
 
 Array = NDArray[Any]
 
@@ -24,7 +25,7 @@ _TURN = _F(6.2831853)
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _smooth_noise(texture: Array, x: Any, y: Any) -> Any:
     """Interpolate a periodic texture, float32 (64, 64), at a point."""
     column, row = int(np.floor(x)), int(np.floor(y))
@@ -36,7 +37,7 @@ def _smooth_noise(texture: Array, x: Any, y: Any) -> Any:
     return upper + y * (lower - upper)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, last: Array) -> None:
     """Paint a surface.
 
@@ -80,7 +81,7 @@ def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, la
                 out[row, column, c] = np.uint8(first[c] + value * (last[c] - first[c]))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shapes(
     picture: Array, hidden: Array, outlines: Array, colours: Array, shift: Array, dark: Any
 ) -> None:
@@ -141,7 +142,7 @@ def layers(visits: Array, goes_over: Array, n: int) -> Array:
     return np.where(upper, flags, UNDER).astype(np.uint8)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stamp(
     curve: Array, after: Array, flags: Array, reach: Any, square: Array, place: Array
 ) -> None:
@@ -187,7 +188,7 @@ def stamp(
                     square[0, row, column], place[0, row, column] = d, _F(k) + t
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _arcsine_share(u: Any) -> Any:
     """Return arcsin(u) / (2 pi) (Abramowitz and Stegun 4.4.45)."""
     a = abs(u)
@@ -196,7 +197,7 @@ def _arcsine_share(u: Any) -> Any:
     return share if u >= 0 else -share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compose(
     picture: Array, strands: Array, visits: Array, square: Array, place: Array, curve: Array,
     after: Array, tangent: Array, along: Array, colours: Array, lamp: Array, twisted: bool,
@@ -311,7 +312,7 @@ def compose(
                 picture[row, column, i] = np.uint8(min(max(colour[i] + _HALF, _ZERO), _F(255)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int) -> None:
     """Apply the lamp's colour and falloff, and add noise of brightness and, less, of colour.
 

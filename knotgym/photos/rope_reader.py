@@ -22,11 +22,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common import Array, Ids, InvalidInput, inner
+from knotgym.common import Array, Ids, InvalidInput, inner, kernel
 from knotgym.photos.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.topology import Crossings, GaussCode, find_crossings
 
@@ -52,7 +51,7 @@ _CROWDED = 1200  # points; more aren't a rope's
 _BESIDE = [-2, -1, 0, 1, 2]  # points of the line that it reaches
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _ridge_points(lines: NDArray[np.float32]) -> Array:
     """Return points on the ridges of fields.
 
@@ -125,7 +124,7 @@ def _link_cost(points: Array, i: int, j: int) -> float:
     return length * (1 + _SWERVE * swerve * swerve) + _BEND * turn
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _link(points: Array) -> tuple[Ids, Array]:
     """Link the ends of points, the cheapest first.
 
@@ -171,7 +170,7 @@ def _link(points: Array) -> tuple[Ids, Array]:
     return partner, paid
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _exchange(points: Array, partner: Ids, paid: Array) -> None:
     """Exchange the ends of two links, in place, as long as that makes them cheaper together."""
     for _ in range(_SWEEPS):
@@ -195,7 +194,7 @@ def _exchange(points: Array, partner: Ids, paid: Array) -> None:
             return
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _longest_line(partner: Ids) -> Ids:
     """Follow links from end to end; return the points of the longest line that closes, int64."""
     n = len(partner) // 2

@@ -13,11 +13,10 @@ from functools import lru_cache
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common import Array, Stream, inner
+from knotgym.common import Array, Stream, inner, kernel
 from knotgym.quality.limits import RESET_NOISE, Quality
 from knotgym.rendering import PictureConfig, project
 from knotgym.rope import Rope
@@ -211,7 +210,7 @@ def _regions(pixels: Array, width: float) -> Array:
     return np.asarray(stats[1:, cv2.CC_STAT_AREA] / fine**2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _average_crossing_number(points: Array) -> float:
     """Return the number of crossings averaged over all directions of view.
 

@@ -20,10 +20,9 @@ must be a ray tracer's but for edges, and the strand on top the one labelled ove
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import inlined, inner
+from knotgym.common import inlined, inner, kernel
 from knotgym.rendering.camera import (
     DEFAULT,
     PictureConfig,
@@ -108,7 +107,7 @@ def _draw_all(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def paint(
     ropes: Array, depths: tuple[float, float], colours: Array, bands: Array, out: Array
 ) -> None:

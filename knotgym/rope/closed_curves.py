@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Array, InvalidInput, inner
+from knotgym.common import Array, InvalidInput, inner, kernel
 from knotgym.topology import GaussCode, label_many, same_spot
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ _SMALLER_DRAWS = 20  # further draws, each at half the scale of the one before
 _GAP = 1e-6  # metres; what is closed at all is closed within 1e-12
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
+@kernel  # 0 / 0 is NaN instead of an exception
 def _close_loops(along: Array) -> None:
     """Change the unit vectors of many chains (n, beads, 3) as little as possible, in place.
 
@@ -185,7 +184,7 @@ def require_embedded(curve: Array) -> None:
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _meeting(points: Array, low: Array, high: Array, order: NDArray[np.int64]) -> tuple[int, int]:
     """Return two chords that meet and aren't neighbours; (0, 0) if there are none.
 
@@ -217,7 +216,7 @@ def _arc_lengths(points: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def clearance(points: Array, within: float) -> float:
     """Return the smallest distance between the axes of two beads that aren't neighbours, metres.
 

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Array
+from knotgym.common import Array, kernel
 from knotgym.rope.actions import FORCE_BINS, quantized
 
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
@@ -259,7 +258,7 @@ class WaypointFollower:
         return np.asarray(_lead(points, ids, self.beads, self._waypoints, self._stage, _STRIDE))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _straight(points, ids, passes, waypoints, rise, farthest, lift, beyond):  # type: ignore[no-untyped-def]
     """Lay out the `_waypoints` of passes (bead, target, side) in rows `ids`.
 
@@ -285,7 +284,7 @@ def _straight(points, ids, passes, waypoints, rise, farthest, lift, beyond):  # 
             waypoints[ids[k], n, 2] = z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _arrive(points, ids, beads, waypoints, stage, arrived):  # type: ignore[no-untyped-def]
     for index in ids:
         while stage[index] < 3:
@@ -297,7 +296,7 @@ def _arrive(points, ids, beads, waypoints, stage, arrived):  # type: ignore[no-u
             stage[index] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lead(points, ids, beads, waypoints, stage, stride):  # type: ignore[no-untyped-def]
     forces = np.zeros((len(ids), 3), np.float32)
     for k in range(len(ids)):

@@ -23,12 +23,11 @@ from itertools import pairwise
 from typing import Any
 
 import mujoco
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
-from knotgym.common import Array, InvalidInput, configuration, inner
+from knotgym.common import Array, InvalidInput, configuration, inner, kernel
 from knotgym.rope import closed_curves
 from knotgym.rope.closed_curves import clearance, directions, equal_chords, require_embedded
 from knotgym.topology import same_spot
@@ -401,7 +400,7 @@ def _join(spec: mujoco.MjSpec, config: RopeConfig, last: int, after: int) -> Non
     spec.add_exclude(bodyname1=f"bead{last}", bodyname2=f"bead{after}")
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _forward(
     qpos: Array,
     order: Array,
@@ -464,7 +463,7 @@ def _forward(
             gaps[row] = max(gaps[row], np.sqrt(square))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _transported(along: Array, order: Array, parent: Array) -> Array:
     """Return the orientations of beads with the smallest twist, float64 (n, beads, 4).
 
@@ -491,7 +490,7 @@ def _transported(along: Array, order: Array, parent: Array) -> Array:
     return world
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _backward(
     points: Array, world: Array, order: Array, parent: Array, at: Array, rest: Array, qpos: Array
 ) -> None:

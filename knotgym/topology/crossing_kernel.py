@@ -27,9 +27,8 @@ label may be wrong.
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
-from knotgym.common import inlined, inner
+from knotgym.common import inlined, inner, kernel
 from knotgym.topology.exact_signs import FILTER, HALF_ULP, height_order, line_order, side
 
 Columns = namedtuple("Columns", "over_place under_place over_z under_z sign x y")
@@ -45,7 +44,7 @@ SAME = 2.0**-48
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     """Find all crossings of one closed rope.
 
@@ -69,7 +68,7 @@ def _one(beads: int) -> tuple[np.ndarray, np.ndarray]:
     return ends, closed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scan_curves(
     points: np.ndarray, ends: np.ndarray, closed: np.ndarray
 ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
@@ -125,7 +124,7 @@ def scan_curves(
     return True, visits, table, owners
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts: np.ndarray) -> int:
     """Find the crossings of many ropes, one row a rope.
 
@@ -252,7 +251,7 @@ def _disjoint(boxes: np.ndarray, one: int, other: int) -> bool:
     return bool(apart_in_x | apart_in_y)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_hits(points: np.ndarray, ends: np.ndarray, closed: np.ndarray, most: int) -> int:
     """Count the pairs of edges that cross; the search ends once there are more than `most`."""
     points, _, after = _distinct(points, ends, closed)

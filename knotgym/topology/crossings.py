@@ -24,10 +24,9 @@ from functools import lru_cache, partial
 from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Array, Ids, InvalidInput, Threads
+from knotgym.common import Array, Ids, InvalidInput, Threads, kernel
 from knotgym.topology.crossing_kernel import (
     CROSSING,
     SAME,
@@ -394,7 +393,7 @@ def _round(gap: Array, total: float) -> Array:
     return np.minimum(np.abs(gap), total - np.abs(gap))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _nearest(pixels: Array, along: Array, straight: Array, turning: Array, walk: float) -> float:
     """Find the nearest vertices that no path as short as `walk` joins; return their distance.
 

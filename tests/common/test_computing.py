@@ -1,5 +1,8 @@
-"""Rows divided among threads: results in order, errors raised, other work done meanwhile."""
+"""Rows divided among threads: results in order, errors raised, other work done meanwhile. Machine
+code is kept by what it is made from, in a folder that is this user's alone.
+"""
 
+import inspect
 import os
 import threading
 from pathlib import Path
@@ -8,7 +11,9 @@ import pytest
 
 from knotgym.common import computing
 from knotgym.common.computing import Threads
+from knotgym.rope.chain import contact, solver, vectors
 
+ROOT = Path(__file__).parents[2]
 counts = pytest.mark.parametrize("count", [1, 3])
 
 
@@ -93,3 +98,53 @@ def test_cores_are_those_that_affinity_and_the_container_s_quota_leave(
     monkeypatch.setattr(Path, "read_text", text)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     assert Threads.cores() == expected == Threads(0)._most
+
+
+def test_machine_code_is_known_by_the_sources_it_is_made_from_and_not_by_their_path() -> None:
+    made_from = [*computing._sources(solver, set())]
+    assert {inspect.getsource(one) for one in (solver, contact, vectors)} < set(made_from)
+    assert str(ROOT) not in "".join(made_from)
+    kept = Path(solver.advance.stats.cache_path)
+    assert kept.parent == computing._machine_code() and not kept.is_relative_to(ROOT)
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Choose the folder of machine code again; the user's cache folder has this one."""
+    computing._machine_code.cache_clear()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(computing, "__file__", str(tmp_path / "package" / "computing.py"))
+    return tmp_path / "cache" / "knotgym"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders there have no such modes")
+def test_machine_code_lies_where_only_this_user_writes(
+    kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    try:
+        own = computing._machine_code()
+        assert own.parent == kept and own.stat().st_mode & 0o777 == 0o700
+        own.chmod(0o770)  # others may have put code there
+        computing._machine_code.cache_clear()
+        beside = computing._machine_code()
+        assert beside.parent.name == "__pycache__" and not beside.is_relative_to(kept)
+        monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+        computing._machine_code.cache_clear()
+        assert computing._machine_code().name.startswith("knotgym-numba-")
+    finally:
+        computing._machine_code.cache_clear()
+
+
+def test_machine_code_is_temporary_where_no_folder_can_be_searched(
+    kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    try:
+        monkeypatch.setattr(Path, "mkdir", refuse)
+        assert computing._machine_code().name.startswith("knotgym-numba-")
+        assert os.environ["NUMBA_CACHE_DIR"] == str(computing._machine_code())  # for workers
+    finally:
+        computing._machine_code.cache_clear()

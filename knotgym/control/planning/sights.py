@@ -19,9 +19,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from knotgym.common import Array
+from knotgym.common import Array, kernel
 from knotgym.topology import CROSSING, GaussCode, Symmetry, faces, images, label_many, scan
 
 # The eight symmetries are numbered as `symmetry.images` numbers a code's images. The bits of a
@@ -131,7 +130,7 @@ def _order(diagram: Diagram) -> tuple[tuple[int, ...], str, tuple[int, ...]]:
     return diagram.code.visits, diagram.code.chirality or "", diagram.outer
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sights(points, most):  # type: ignore[no-untyped-def]
     """Where arcs end, and a dart of each outer face.
 

@@ -38,9 +38,8 @@ tests/rope/chain/test_chain_equations.py`: velocities must be those of the dense
 """
 
 import numpy as np
-from numba import njit
 
-from knotgym.common import Array, inlined, inner
+from knotgym.common import Array, inlined, inner, kernel
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System
 from knotgym.rope.chain.layout import Physics
@@ -284,7 +283,7 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
                 put(x, (i, c), load(x, (i, c)) + moved)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def set_all_lengths(points: Array, length: float, rounds: int) -> None:
     """Apply `set_lengths` to any number of ropes (ropes, n, 3), in place."""
     ropes, n = points.shape[0], points.shape[1]

@@ -20,10 +20,9 @@ and 5 mm after four. Recordings that ship must still be rebuilt: `knotgym suite 
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common import Array, Ids, inlined, inner
+from knotgym.common import Array, Ids, inlined, inner, kernel
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.contact import (
@@ -53,7 +52,7 @@ SCHEDULE = (1, 2, 3, 4, 4, 5, 5)  # lengths of the substeps, in shares of an act
 TICKS = 64
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def advance(
     states: Array,
     points: Array,
