@@ -4,6 +4,7 @@ code is kept by what it is made from, in a folder that is this user's alone.
 
 import inspect
 import os
+import sys
 import threading
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 
 from knotgym.common import computing
 from knotgym.common.computing import Threads
-from knotgym.rope.chain import contact, solver, vectors
+from knotgym.topology import scan
 
 ROOT = Path(__file__).parents[2]
 counts = pytest.mark.parametrize("count", [1, 3])
@@ -101,10 +102,13 @@ def test_cores_are_those_that_affinity_and_the_container_s_quota_leave(
 
 
 def test_machine_code_is_known_by_the_sources_it_is_made_from_and_not_by_their_path() -> None:
-    made_from = [*computing._sources(solver, set())]
-    assert {inspect.getsource(one) for one in (solver, contact, vectors)} < set(made_from)
+    own, called = (
+        sys.modules[f"knotgym.topology.{name}"] for name in ("crossing_kernel", "exact_signs")
+    )
+    made_from = [*computing._sources(own, set())]
+    assert {inspect.getsource(own), inspect.getsource(called)} < set(made_from)
     assert str(ROOT) not in "".join(made_from)
-    kept = Path(solver.advance.stats.cache_path)
+    kept = Path(scan.stats.cache_path)
     assert kept.parent == computing._machine_code() and not kept.is_relative_to(ROOT)
 
 
