@@ -43,4 +43,4 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
         progress.say(f"open {page.address} in a browser; Ctrl-C ends it")
         progress.end()  # what is left isn't progress, of which it would tell for ever
         while True:
-            time.sleep(3600)
+            time.sleep(1)  # a signal that comes just before a sleep waits for its end
