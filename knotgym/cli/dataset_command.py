@@ -180,6 +180,7 @@ def split(given: Given, source: Source, /, *, parts: str, out: File, seed: DrawS
     """Write a dataset as several files, OUT-NAME each, by fractions of its rows.
 
     Near-duplicates, rows of one walk, and episodes with a common start or goal state stay together.
+    States without crossings don't count there, as nearly all episodes begin or end in one of a few.
 
     Args:
         parts: Names and fractions of the parts, such as train=0.8,val=0.2.

@@ -2,7 +2,9 @@ from .arrays import Array as Array
 from .arrays import Ids as Ids
 from .atomic_files import atomic_write as atomic_write
 from .atomic_files import move_into_place as move_into_place
+from .atomic_files import names_apart as names_apart
 from .atomic_files import remove as remove
+from .atomic_files import require_apart as require_apart
 from .atomic_files import require_no_links as require_no_links
 from .atomic_files import require_output as require_output
 from .atomic_files import require_own as require_own
@@ -19,6 +21,7 @@ from .configurations import Mark as Mark
 from .configurations import Seed as Seed
 from .configurations import Share as Share
 from .configurations import as_json as as_json
+from .configurations import by_name as by_name
 from .configurations import choice as choice
 from .configurations import choices as choices
 from .configurations import configuration as configuration

@@ -15,7 +15,7 @@ what no single field can tell in `__post_init__`, and raises the error itself.
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import (
@@ -319,6 +319,21 @@ def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
         raise InvalidFile(f"{given} has more than {most} bytes, too many for a JSON file")
     with InvalidFile.instead(f"{given} isn't valid JSON", ValueError, RecursionError):
         return json.loads(text.decode("utf-8"))
+
+
+def by_name(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a dictionary of pairs, in which a name that comes with another value gets a number.
+
+    >>> by_name([("a", 1), ("b", 2), ("a", 1), ("a", 3)])
+    {'a': 1, 'b': 2, 'a (2)': 3}
+    """
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        number, key = 1, name
+        while found.setdefault(key, value) != value:
+            number += 1
+            key = f"{name} ({number})"
+    return found
 
 
 def differences(there: Any, requested: Any, where: str = "") -> Iterator[str]:

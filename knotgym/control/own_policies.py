@@ -11,35 +11,44 @@ Actions are those of the task's action view, by default six numbers in [-1, 1]. 
 side by side, so each gets its own deep copy of the object; a class is called once, without
 arguments, to make the object to copy. Random draws should come from the episode's generator, or the
 run can't be repeated. A model of a library acts by `loaders.as_policy`, and a
-`control.sampler.Policy` acts in many episodes at once. A module may list the files that it reads,
-such as weights, in `FILES`; results hold their digests. Entries hold its `CARD`, a
-dictionary of JSON values that says how it was trained.
+`control.sampler.Policy` acts in many episodes at once. Results hold digests of the module, of what
+it imports from its folder, and of the files that it opens there; a module may list others that it
+reads, such as weights, in `FILES`. Entries hold its `CARD`, a dictionary of JSON values that says
+how it was trained.
 """
 
+import ast
 import copy
 import importlib
 import importlib.util
 import inspect
 import json
 import os
+import site
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence, Set
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from knotgym.common import Ids, InvalidPolicy
+import knotgym
+from knotgym.common import Ids, InvalidPolicy, by_name
 from knotgym.control.basic_policies import ActionPlayer
 from knotgym.control.policies import user_code
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.sampler import Player, Policy, Pulls, SimplePolicy
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import ActionView
+
+_opened: dict[str, set[str]] = defaultdict(set)  # by module, and by policy
+_noted: list[set[str]] = []  # of `_opened`, what gets the files that are opened now
 
 
 def own_policy(given: Any, name: str) -> SimplePolicy:
@@ -150,7 +159,8 @@ def load(config: PolicyConfig) -> Policy:
         seen = {"observation": given.observation, "frame": given.frame, "action": action}
         return SimplePolicy(name, partial(_RowPlayer, name, given), partial(replace, **seen))
     if not callable(getattr(given, "player", None)) or inspect.isclass(given):
-        return own_policy(given, name)
+        with _noting(name):
+            return own_policy(given, name)
 
     def _compatible_task(task: TaskConfig) -> TaskConfig:
         with user_code(name):
@@ -161,23 +171,68 @@ def load(config: PolicyConfig) -> Policy:
 
 
 def files(name: str) -> dict[str, Path]:
-    """Return the source files of a policy module:name, and the module's FILES, by their names.
+    """Return the files that a policy module:name is made of and reads, by names.
 
-    For a module in a package, the sources are those of the top package; other files that it imports
-    aren't found.
+    They are the module's FILES, its source and, of its folder, each module or package that it or
+    another of them imports, and each file that was opened while it was imported or made. A package
+    counts whole: which of its modules the policy uses isn't known without running it. What
+    libraries in other languages open isn't noticed, and belongs in FILES.
     """
+    load(PolicyConfig(policy=name))
     with user_code(name), _module_of(name) as module:
-        spec = importlib.util.find_spec(module.__name__.partition(".")[0])
-        read = [Path(file) for file in getattr(module, "FILES", ())]
-    found = {path.name: path for path in read}
-    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
-        return found
-    own = Path(spec.origin)
-    if not spec.submodule_search_locations:
-        return found | {own.name: own}
-    # the whole package: which of its modules the policy uses isn't known without running it
-    sources = own.parent.rglob("*.py")
-    return found | {path.relative_to(own.parent.parent).as_posix(): path for path in sources}
+        listed = [(path.name, path) for path in map(Path, getattr(module, "FILES", ()))]
+        root, sources = _sources(module)
+    if root is None:
+        return by_name(listed)
+    opened = [Path(one) for key in (module.__name__, name) for one in sorted(_opened[key])]
+    # compiled modules and what lies elsewhere, such as in a library, has a version
+    ours = Path(knotgym.__file__).parent, Path(sys.prefix)
+    used = [
+        one
+        for one in opened
+        if one.is_relative_to(root)
+        and "__pycache__" not in one.parts
+        and not any(map(one.is_relative_to, ours))
+    ]
+    known = {path.resolve() for _, path in listed}
+    used = [one for one in (*sources, *used) if one.is_file() and one.resolve() not in known]
+    return by_name([*((one.relative_to(root).as_posix(), one) for one in used), *listed])
+
+
+def _sources(module: ModuleType) -> tuple[Path | None, list[Path]]:
+    """Return the folder that a module is imported from, and the sources in it that it leads to.
+
+    Of a module that is installed these are those of its own package; None if it has no source.
+    """
+    origin = getattr(module, "__file__", None) or ""
+    if not origin.endswith(".py"):
+        return None, []
+    depth = module.__name__.count(".") + hasattr(module, "__path__")
+    root = Path(origin).absolute().parents[depth]
+    names, found = [module.__name__.partition(".")[0]], dict[Path, None]()
+    is_installed = str(root) in site.getsitepackages()
+    for name in names:  # which grows
+        own, spec = root / name, PathFinder.find_spec(name, [*sys.path, str(root)])
+        there = [spec.origin, *(spec.submodule_search_locations or ())] if spec else []
+        if not any(one and Path(one).is_relative_to(root) for one in there):
+            continue  # another of this name is imported
+        files = [*own.rglob("*.py")] if own.is_dir() else [own.with_suffix(".py")]
+        found |= dict.fromkeys(sorted(files))
+        for file in () if is_installed else files:
+            names += sorted(_imported(file) - {*names, "knotgym"})
+    return root, [*found]
+
+
+def _imported(source: Path) -> Set[str]:
+    """Return the top modules that a source imports anywhere; none if it isn't Python."""
+    found = set[str]()
+    with suppress(OSError, SyntaxError, ValueError):
+        for one in ast.walk(ast.parse(source.read_bytes())):
+            if isinstance(one, ast.Import):
+                found |= {each.name.partition(".")[0] for each in one.names}
+            elif isinstance(one, ast.ImportFrom) and one.module and not one.level:
+                found.add(one.module.partition(".")[0])
+    return found
 
 
 def card_of(name: str) -> dict[str, Any] | None:
@@ -204,14 +259,38 @@ def _module_of(name: str) -> Iterator[ModuleType]:
     """
     module = name.partition(":")[0]
     package, searched = module.partition(".")[0], list(sys.path)
-    if package in sys.modules or importlib.util.find_spec(package) is not None:
-        yield importlib.import_module(module)
-        return
-    sys.path.append(os.getcwd())  # searched, too, as by `python -m`
+    if package not in sys.modules and importlib.util.find_spec(package) is None:
+        sys.path.append(os.getcwd())  # searched, too, as by `python -m`
     try:
-        yield importlib.import_module(module)
+        with _noting(module):
+            found = importlib.import_module(module)
+        yield found
     finally:
         sys.path[:] = searched
+
+
+@contextmanager
+def _noting(key: str) -> Iterator[None]:
+    """Note the files that Python opens to read in the block, under a key of `_opened`."""
+    _hook()
+    _noted.append(_opened[key])
+    try:
+        yield
+    finally:
+        _noted.pop()
+
+
+@cache
+def _hook() -> None:
+    """Begin to hear of opened files, once; a hook can't be taken away."""
+
+    def _hear(event: str, given: tuple[Any, ...]) -> None:
+        if event == "open" and _noted and isinstance(given[0], str | bytes | os.PathLike):
+            mode, flags = given[1] or "r", given[2] or 0
+            if not {*"wax+"} & {*mode} and not flags & (os.O_WRONLY | os.O_RDWR):
+                _noted[-1].add(os.path.abspath(os.fsdecode(given[0])))
+
+    sys.addaudithook(_hear)
 
 
 def _takes(function: Callable[..., Any], counts: tuple[int, ...]) -> int | None:

@@ -47,6 +47,7 @@ from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 FORMAT, VERSION = "knotgym-episodes", 3
 FILE = "episodes.h5"
 _DRAWN = 1024  # starts that are drawn together
+_LISTED = 5  # datasets that a message names
 MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
 _KEPT_FACTS = ("metadata", "run", "selection", STATES_DIGEST)
@@ -417,8 +418,8 @@ def episode_file(source: Any) -> Path:
 
     Args:
         source: the file, a dataset's folder or the `data` folder in it, the folder of a run of
-            `generate` (its demonstrations of the train split), a `minari.MinariDataset`, or an id
-            that Minari would find.
+            `generate` (its demonstrations of the train split), any folder that holds one dataset, a
+            `minari.MinariDataset`, or an id that Minari would find.
 
     Raises:
         InvalidInput: the source is nothing of these.
@@ -433,10 +434,21 @@ def episode_file(source: Any) -> Path:
     if file.is_file():
         return file
     found = sorted((root / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
+    found = found or [one / "data" / FILE for one in datasets_below(root)]
     if len(found) > 1:
-        listed = ", ".join(str(one.parents[1]) for one in found)
-        raise InvalidFile(f"{root} holds several datasets; choose one of them: {listed}")
+        listed = ", ".join(str(one.parents[1]) for one in found[:_LISTED])
+        more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+        raise InvalidFile(f"{root} holds several datasets; choose one of them: {listed}{more}")
     if not found:
-        raise MissingFile(f"no episodes at {root}")
+        arrow = "; it is in Minari's format arrow: record it with data_format='hdf5'"
+        is_arrow = any(root.glob("data/0/*.arrow"))
+        raise MissingFile(f"no episodes at {root}{arrow * is_arrow}")
     common.require_no_links(root, found)
     return found[0]
+
+
+def datasets_below(folder: Path) -> tuple[Path, ...]:
+    """Return the folders of the datasets that a folder is or holds, at any depth."""
+    if any((place / FILE).is_file() for place in (folder, folder / "data")):
+        return (folder,)
+    return tuple(file.parents[1] for file in sorted(folder.glob(f"**/data/{FILE}")))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import h5py
 
 from knotgym.common import InvalidFile, InvalidInput, format_of, require_no_links, require_stored
-from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
+from knotgym.datasets.episode_dataset import FORMAT, datasets_below, episode_file, open_episodes
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest import read_manifest
 from knotgym.datasets.minari_form import data_files
@@ -108,7 +108,11 @@ def locate(named: str) -> Located:
     root = resolve(named)
     found = _located(root)
     if found is None:
-        raise InvalidInput(f"{named} contains no states.h5, no pictures and no Minari dataset")
+        by_minari = any((root / name).is_file() for name in ("metadata.json", "data/metadata.json"))
+        theirs = " that knotgym wrote; what Minari recorded can be loaded, but not checked"
+        raise InvalidInput(
+            f"{named} contains no states.h5, no pictures and no Minari dataset{theirs * by_minari}"
+        )
     require_no_links(root, found.files)
     return found
 
@@ -121,15 +125,9 @@ def _located(root: Path) -> Located | None:
         is_episodes = format_of(root) == FORMAT
         return Located(root, episodes=(root,)) if is_episodes else Located(root, states=root)
     if any((root / name).is_file() for name in ("states.h5", "manifest.json")):
-        return Located(root, resolve_states(root), _datasets_below(root / "minari"))
-    found = _datasets_below(root)
+        return Located(root, resolve_states(root), datasets_below(root / "minari"))
+    found = datasets_below(root)
     return Located(root, episodes=found) if found else None
-
-
-def _datasets_below(folder: Path) -> tuple[Path, ...]:
-    if (folder / FILE).is_file() or (folder / "data" / FILE).is_file():
-        return (folder,)
-    return tuple(file.parents[1] for file in sorted(folder.glob(f"**/data/{FILE}")))
 
 
 def try_files(paths: Iterable[Path], pool: Executor) -> None:

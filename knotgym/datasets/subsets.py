@@ -30,6 +30,7 @@ from knotgym.common import (
     MissingExtra,
     Stream,
     atomic_write,
+    by_name,
     one_line,
     require_output,
     sha256,
@@ -61,6 +62,7 @@ from knotgym.states import (
 _RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")
 _PART = re.compile(r"([A-Za-z0-9_]+)=([0-9]{0,9}\.?[0-9]{1,9})")
 _LONGEST = 2000  # characters
+_SCORES = ("ref_min_score", "ref_max_score", "num_episodes_average_score")  # of the metadata
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
 _QUERY = re.compile(r"\b(select|from)\b", re.IGNORECASE)
 
@@ -501,16 +503,19 @@ def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
 
 
 def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMetadata:
-    """Join the metadata of datasets; their reference scores aren't those of the whole."""
+    """Join the metadata of datasets; equal reference scores are those of the whole."""
     known = [metadata for one in datasets if (metadata := metadata_of(one))]
     policies = {str(name) for one in datasets for name in one.episodes.episodes["policy"]}
     described = [f"Merged of {', '.join(one.name for one in datasets)}."]
     described += [f"{one.dataset_id}: {one.description}" for one in known]
+    scores = [{name: getattr(one, name) for name in _SCORES} for one in known]
+    is_one = len(scores) == len(datasets) and all(one == scores[0] for one in scores)
     return MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(sorted(policies)),
         description="\n\n".join(described),
         author=tuple({name for one in known for name in one.author}),
         author_email=tuple({name for one in known for name in one.author_email}),
-        digests={one.dataset_id: one.digests for one in known if one.digests},
+        digests=by_name((one.dataset_id, one.digests) for one in known if one.digests),
+        **(scores[0] if is_one else {}),
     )

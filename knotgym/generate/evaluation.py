@@ -5,6 +5,7 @@ splits, the results are a generalization matrix for policies trained on one of t
 """
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -20,7 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym import rendering, runs
-from knotgym.common import InvalidInput, Occupied, Stream, atomic_write, require_output
+from knotgym.common import (
+    InvalidInput,
+    Occupied,
+    Stream,
+    atomic_write,
+    require_apart,
+    require_output,
+    sha256,
+)
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
@@ -120,14 +129,16 @@ def evaluate(
         raise InvalidInput(f"a shard {wrong}")
     if video is not None:
         rendering.Film(video)
+    require_apart(out, video, record)
     _require_playable(config)
     made_by, results, films = runs.identity(config), list[Result](), list[Episodes]()
     compiles: dict[str, Any] = {"engine": config.task.engine}
-    beside = [*filter(None, (video, record))]
+    both = {"video": video, "record": record}
+    beside = {kind: more for kind, more in both.items() if more is not None}
 
     def _recipe(place: Path | None) -> runs.Recipe[str]:
         nonlocal results, films
-        for more in beside:
+        for more in beside.values():
             require_output(more, folder=False, overwrite=options.overwrite, reads=made_by.reads)
         filmed = 0 if video is None else config.filmed
         results, played, films = yield from _evaluation(config, filmed, record is not None)
@@ -141,7 +152,8 @@ def evaluate(
             with atomic_write(record, overwrite=options.overwrite) as temporary:
                 write_entry(temporary, config, played, _claims(config, results, made_by))
         if place is not None:
-            text = json.dumps(_report(config, results, made_by), indent=1)
+            digests = {kind: sha256(more) for kind, more in beside.items()}
+            text = json.dumps(_report(config, results, made_by, digests), indent=1)
             # each list of numbers on one line
             text = re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text)
             place.write_text(text + "\n", encoding="utf-8")
@@ -156,19 +168,26 @@ def evaluate(
         make(_recipe, out, made_by, options, progress)
         if not options.shard.is_whole:
             return []
-        if not results:  # it was finished already
-            with evaluation_in(out) as (_, results):
-                pass
-        for more in (one for one in beside if not one.exists()):
-            raise Occupied(
-                f"{out} is finished already, but {more} isn't there; --overwrite without --resume"
-                " makes both again"
-            )
+        results = results or _finished(out, beside)
     if is_shown:
         show(results, progress.console, config.task.engine)
-    if video is not None:
+    if films:
         count = sum(one.episodes.rows for one in films)
         progress.say(f"{video}: {count} episodes")
+    return results
+
+
+def _finished(out: Path, beside: Mapping[str, Path]) -> list[Result]:
+    """Return the results of a finished evaluation; what was asked for beside it must be its own."""
+    with evaluation_in(out) as (content, results):
+        known = dict(content.get("beside", {}))
+    for kind, more in beside.items():
+        if not more.is_file() or sha256(more) != known.get(kind):
+            what = "is another's" if os.path.lexists(more) else "isn't there"
+            raise Occupied(
+                f"{out} is finished already, but {more} {what}; --overwrite without --resume makes"
+                " both again"
+            )
     return results
 
 
@@ -209,7 +228,10 @@ def _commit() -> str:
 
 
 def _report(
-    config: EvaluateConfig, results: Sequence[Result], made_by: Mapping[str, Any]
+    config: EvaluateConfig,
+    results: Sequence[Result],
+    made_by: Mapping[str, Any],
+    beside: Mapping[str, str],
 ) -> dict[str, Any]:
     """Return the content of the result file; its rate is over all setups.
 
@@ -217,6 +239,7 @@ def _report(
         config: what was evaluated.
         results: one for each setup.
         made_by: the run's identity.
+        beside: digests of what was written with it, a "video" and a "record".
     """
     success = [reached for one in results for reached in one.outcomes["success"]]
     starts = [f"{one.start_states} {row}" for one in results for row in one.outcomes["start"]]
@@ -226,6 +249,7 @@ def _report(
         "interval": list(runs.cluster_interval(success, starts, goals)),
         "episodes": len(success),
         **made_by,
+        "beside": dict(beside),
         "learners": {one.policy: _training(one) for one in config.policies if one.card()},
         "results": [asdict(one) for one in results],
     }

@@ -145,7 +145,12 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
     say = partial(console.print, highlight=False)
     steps = ["steps"] * any(one.steps is not None for one in results)
     table = narrow_table((*_SETUP, "success", "95 % interval", *steps, "return"), left=_SETUP[:3])
-    rows = {(_acting(one), one.task, one.split, one.nx): one for one in results}
+    # policies of one name, with other settings, are told apart by numbers
+    rows: dict[tuple[str, str, str, int], Result] = {}
+    for one in results:
+        name, number = _acting(one), 1
+        while rows.setdefault((name, one.task, one.split, one.nx), one) is not one:
+            number, name = number + 1, f"{_acting(one)} ({number + 1})"
     for (*setup, nx), one in rows.items():
         took = [""] if one.steps is None else [f"{one.steps:.1f}"]
         rates = [f"{100 * rate:.1f}" for rate in (one.success_rate, one.low, one.high)]

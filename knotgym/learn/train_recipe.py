@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common import InvalidInput, Table, sha256
+from knotgym.common import InvalidInput, Table, by_name, sha256
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.card import CARD
 from knotgym.learn.checkpoint import save_network
@@ -64,17 +64,18 @@ def train(
             "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
             " made for a clone, as in --set clone.demonstrations=1000"
         )
+    parts = [part for one in opened for part in one.parts or [one]]
     whole = identity(
         config,
         {
-            "data": [part.path for one in opened for part in one.parts or [one]],
+            "data": [part.path for part in parts],
             "columns": [Table.digest(table) for one in opened for table in one.episodes],
         },
     )
     card = {
         "knotgym": knotgym.__version__,
         "config": whole["config"],
-        "data": {part.name: sha256(part.path) for one in opened for part in one.parts or [one]},
+        "data": by_name((part.name, sha256(part.path)) for part in parts),
         "updates": config.steps,
         "trained_on": _trained_on(opened, config),
         "identity": whole,

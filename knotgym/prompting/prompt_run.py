@@ -38,6 +38,7 @@ Ask = Callable[[list[dict[str, Any]]], Result]  # sends messages; returns a repl
 _NO_OP = (0.0,) * 6  # an action without force
 _FIRST = 20  # requests after which a server that rejected them all isn't asked again
 _RESULT = "result.json"
+_TRUTH = ("gauss_code", "nx", "grade", "accepted")  # columns of pictures that transcripts repeat
 _FREE = ("timeout", "attempts")  # settings of the client that don't change a request
 
 
@@ -80,7 +81,10 @@ def run_prompts(
         return f"{FILE}, {_RESULT}"
 
     asked = {**settings, "chat": {k: v for k, v in settings["chat"].items() if k not in _FREE}}
-    run_identity = identity(config, fields=asked)
+    told = [(row["image"], [row[name] for name in _TRUTH]) for row in rows]
+    # wherever their table lies
+    read = {"pictures": hashlib.sha256(repr(told).encode()).hexdigest()} if rows else {}
+    run_identity = identity(config, read, fields=asked)
     pool = partial(_Requests, config.side_by_side, stop)
     begin = partial(run, pool=pool, count=_retries, identity_in=_RESULT)
     return begin(_recipe, out, run_identity, options, progress)
@@ -186,7 +190,7 @@ def _read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> 
     transcripts = []
     for number, (row, picture, reply) in enumerate(zip(rows, pictures, replies, strict=True)):
         code, fault = read_code("" if reply["fault"] else reply["text"])
-        truth = {name: row[name] for name in ("gauss_code", "nx", "grade", "accepted")}
+        truth = {name: row[name] for name in _TRUTH}
         own = {"number": number, "config": _flat(config), "picture": picture.sha256}
         read = {"read": None if code is None else str(code)}
         transcripts.append(own | truth | _answer(reply, fault) | read)

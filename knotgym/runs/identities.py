@@ -16,7 +16,16 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.common import InvalidInput, Mark, as_json, differences, merged, read_json, sha256
+from knotgym.common import (
+    InvalidInput,
+    Mark,
+    as_json,
+    by_name,
+    differences,
+    merged,
+    read_json,
+    sha256,
+)
 from knotgym.rope import RopeConfig
 from knotgym.states import is_bundled, resolve_states
 
@@ -68,9 +77,11 @@ def identity(
     """
     found: Any = {}
     for one in (config, *also):
-        for _, _, named in Mark.fields(type(one), one, "states"):
-            origin = "shipped" if is_bundled(named) else "own"
-            found = merged(found, {"states": {origin: resolve_states(named)}})
+        states = [named for _, _, named in Mark.fields(type(one), one, "states")]
+        pairs = [("shipped" if is_bundled(one) else "own", resolve_states(one)) for one in states]
+        if states:
+            own = by_name([*found.get("states", {}).items(), *pairs])
+            found = merged(found, {"states": own})
         for _, owner, named in Mark.fields(type(one), one, "policy"):
             found = merged(found, {"policies": {named: owner.files()}})
     found = merged(found, files or {})

@@ -286,18 +286,40 @@ def test_what_user_code_does_wrong_is_one_line_that_names_it(name: str, says: st
     assert "\n" not in str(refused.value) and "own:" in str(refused.value)
 
 
-def test_a_module_is_found_with_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = 'FILES = ["weights"]\ndef act(observation):\n    return [0] * 6\n'
-    (tmp_path / "left_alone.py").write_text(code)
-    (tmp_path / "weights").write_bytes(b"1")
+@pytest.mark.parametrize("module", ["left_alone", "in_a_folder.of.mine", "packed.mine"])
+def test_a_module_is_found_with_what_it_imports_and_opens(
+    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two files of one name are two; so is a helper that is imported when it acts."""
+    source = tmp_path.joinpath(*module.split(".")).with_suffix(".py")
+    source.parent.mkdir(parents=True, exist_ok=True)
+    code = (
+        "import helper_of_mine, json\nFILES = ['seed0/w.txt', 'seed1/w.txt']\n"
+        "class Made:\n    def __init__(self): open('opened').close(); open('log', 'w').close()\n"
+        "    def reset(self): from pack_of_mine import part\n"
+        "    def act(self, seen): return [0] * 6\n"
+    )
+    files = {source: code, tmp_path / "helper_of_mine.py": "import second_helper\n"}
+    files |= {tmp_path / name: "" for name in ("second_helper.py", "no_helper.py", "opened")}
+    files |= {tmp_path / f"pack_of_mine/{name}.py": "" for name in ("__init__", "part")}
+    files |= {tmp_path / f"seed{k}/w.txt": str(k) for k in range(2)}
+    files |= {tmp_path / "packed/__init__.py": ""} if module == "packed.mine" else {}
+    for file, text in files.items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
     monkeypatch.chdir(tmp_path)
+    for name in ("helper_of_mine", "second_helper", "pack_of_mine", "pack_of_mine.part"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     path = list(sys.path)
-    assert played("left_alone:act", SEEDS[:1], 1).episodes["policy"][0] == "left_alone:act"
+    found = PolicyConfig(policy=f"{module}:Made").files()
     assert sys.path == path
-    found = PolicyConfig(policy="left_alone:act").files()
-    assert {name: path.resolve() for name, path in found.items()} == {
-        name: tmp_path / name for name in ("left_alone.py", "weights")
+    names = {"w.txt", "w.txt (2)"} | {
+        file.relative_to(tmp_path).as_posix()
+        for file in files
+        if file.name not in ("w.txt", "no_helper.py")
     }
+    assert found.keys() == names
+    assert [found[name].read_text() for name in ("w.txt", "w.txt (2)")] == ["0", "1"]
 
 
 def test_a_module_that_exits_is_no_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from pytest_types import Patch
 from synthetic_episodes import TASK, episodes, written
 
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Table, sha256
-from knotgym.datasets import RECORDED, Episodes
+from knotgym.datasets import RECORDED, Episodes, locate
 from knotgym.datasets.episode_dataset import (
     _digests_of,
     columns_of,
@@ -115,8 +115,16 @@ def test_a_dataset_is_found_by_file_by_folder_and_by_id(tmp_path: Path, monkeypa
     data.mkdir(parents=True)
     made = written(data / "episodes.h5", episodes([1]))
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "root"))
-    for source in (made, data, data.parent, "knotgym/tie-nx2/expert-v0"):
+    around = data.parents[2], tmp_path / "root"  # any folder that holds one
+    for source in (made, data, data.parent, "knotgym/tie-nx2/expert-v0", *around):
         assert episode_file(source) == made
+        (one,) = locate(str(source)).episodes
+        assert episode_file(one) == made
+    for number in range(7):
+        (data.parents[1] / f"other{number}/data").mkdir(parents=True)
+        written(data.parents[1] / f"other{number}/data/episodes.h5", episodes([1]))
+    with pytest.raises(InvalidFile, match="several datasets; choose one of them: .* and 3 more"):
+        episode_file(tmp_path / "root")
 
 
 @pytest.mark.parametrize("named", ["{root}/private.h5", "a/../../private.h5", "a/b-v0", "../x"])

@@ -22,7 +22,7 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.exports import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located
-from knotgym.datasets.subsets import merge
+from knotgym.datasets.subsets import delete, merge
 from knotgym.states import read_states
 
 from ..fresh_interpreter import python
@@ -67,6 +67,22 @@ def test_a_recording_is_the_columns_again(form: str, tmp_path: Path) -> None:
     assert one.differences(other) == []
     is_mapped = not other.steps["observation"].flags.owndata
     assert is_mapped == (form == "columns")
+
+
+@pytest.mark.parametrize("form", ["compact", "columns", "recording", "minari", "huggingface"])
+def test_two_datasets_are_not_one_file(form: str, tmp_path: Path) -> None:
+    for name, part in (("alice", "0"), ("bob", "1-2")):
+        delete(EXPERT, part, tmp_path / f"{name}.h5")
+        merge([str(tmp_path / f"{name}.h5")], tmp_path / "in" / name, f"{name}/tie-nx2/x-v0")
+    if EXPORTS[form].output == "file":
+        export(str(tmp_path / "in"), tmp_path / "out", form, replay)
+        made = {file.name: open_episodes(file) for file in (tmp_path / "out").iterdir()}
+        rows = {name: one.episodes.episodes.rows for name, one in made.items()}
+        assert rows == {"alice-tie-nx2-x-v0.h5": 2, "bob-tie-nx2-x-v0.h5": 1}
+        return
+    shutil.copytree(tmp_path / "in" / "bob", tmp_path / "in" / "again")
+    with pytest.raises(InvalidInput, match="two datasets have the id bob/tie-nx2/x-v0"):
+        export(str(tmp_path / "in"), tmp_path / "out", form, replay)
 
 
 @pytest.mark.parametrize("of", ["digest", "expansion"])

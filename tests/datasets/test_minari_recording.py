@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from minari.data_collector.episode_buffer import EpisodeBuffer
 
-from knotgym.common import InvalidFile, InvalidInput
+from knotgym.common import InvalidFile, InvalidInput, MissingFile
+from knotgym.datasets import locate
 from knotgym.loaders import GoalSampling, Transitions, Window, arrays
 
 NAME = "mine/fewer-v0"
@@ -76,4 +77,14 @@ def test_what_is_not_there_is_named(folder: Path) -> None:
     spec = json.loads(metadata["env_spec"]) | {"id": "CartPole-v1"}
     (folder / "metadata.json").write_text(json.dumps({**metadata, "env_spec": json.dumps(spec)}))
     with pytest.raises(InvalidFile, match="CartPole-v1, no environment of knotgym"):
+        arrays(NAME)
+
+
+def test_what_can_not_be_checked_or_read_is_said_as_such(folder: Path) -> None:
+    with pytest.raises(InvalidInput, match="recorded can be loaded, but not checked"):
+        locate(NAME)
+    (folder / "main_data.hdf5").unlink()
+    (folder / "0").mkdir()
+    (folder / "0" / "part-0.arrow").touch()
+    with pytest.raises(MissingFile, match="Minari's format arrow: record it with"):
         arrays(NAME)

@@ -91,6 +91,23 @@ def test_a_sample_is_drawn_from_the_seed(tmp_path: Path) -> None:
         select(made, sample=21, out=tmp_path / "e.h5")
 
 
+@pytest.mark.parametrize("other, kept", [((-4.0, 5.0), True), ((-3.0, 5.0), False)])
+def test_merged_sets_of_one_name_keep_all_digests_and_equal_scores(
+    other: tuple[float, float], kept: bool, tmp_path: Path
+) -> None:
+    name, made = "knotgym/tie-nx2/x-v0", list[str]()
+    for seed, scores in enumerate(((-4.0, 5.0), other)):
+        about = MinariMetadata(
+            dataset_id=name, algorithm_name="a", description="", digests={"s": seed},
+            ref_min_score=scores[0], ref_max_score=scores[1],
+        )  # fmt: skip
+        made.append(str(publish([episodes([2], seed)], TASK, about, tmp_path / str(seed))))
+    merge(made, tmp_path, "knotgym/both-v0")
+    whole = open_episodes(tmp_path / "knotgym/both-v0").metadata or {}
+    assert whole["digests"] == {name: {"s": 0}, f"{name} (2)": {"s": 1}}
+    assert whole["ref_min_score"] == (-4.0 if kept else None)
+
+
 def test_a_selection_becomes_a_minari_dataset_that_says_how_it_was_made(tmp_path: Path) -> None:
     part = select(TINY["expert"], where="length < 10", out=tmp_path / "short.h5")
     merge([str(part)], tmp_path, "knotgym/tie-nx2/short-v0")

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from knotgym.common import InvalidInput, Stream
+from knotgym.common import InvalidInput, Occupied, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
@@ -61,7 +61,7 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -
     made = config()
     results = evaluate(made, QUIET, out=tmp_path / "r.json")
     held = json.loads((tmp_path / "r.json").read_text())
-    assert held == json.loads(json.dumps(_report(made, results, identity(made))))
+    assert held == json.loads(json.dumps(_report(made, results, identity(made), {})))
     low, high = held["interval"]
     assert 0 <= low <= held["success_rate"] <= high <= 1
     assert held["config"]["seed"] == 0 and held["config"]["policies"][0]["policy"] == "random"
@@ -81,6 +81,43 @@ def test_a_finished_evaluation_is_only_shown(tmp_path: Path, monkeypatch: Any) -
     assert evaluate(config(), replace(QUIET, resume=True), out=tmp_path / "r.json") == first
     with pytest.raises(InvalidInput, match="config.seed is 0 there and 1 here"):
         evaluate(config(seed=1), replace(QUIET, resume=True), out=tmp_path / "r.json")
+
+
+def test_what_lies_where_an_entry_or_a_film_was_asked_for_is_not_taken_for_it(
+    tmp_path: Path,
+) -> None:
+    outputs: dict[str, Any] = {
+        "out": tmp_path / "r.json", "video": tmp_path / "f.gif", "record": tmp_path / "e.h5"
+    }  # fmt: skip
+    first = evaluate(config(episodes=2), QUIET, **outputs)
+    again = replace(QUIET, resume=True)
+    assert evaluate(config(episodes=2), again, **outputs) == first
+    other = tmp_path / "other.h5"
+    evaluate(config(episodes=2, seed=1), QUIET, record=other)
+    for name in ("video", "record"):
+        with pytest.raises(Occupied, match="finished already, but .*other.* is another's"):
+            wrong = other.with_suffix(outputs[name].suffix)
+            wrong.write_bytes(other.read_bytes())
+            evaluate(config(episodes=2), again, **{**outputs, name: wrong})
+
+
+@pytest.mark.parametrize("one, other", [("out", "record"), ("out", "video"), ("record", "video")])
+def test_two_outputs_are_not_one_file(
+    one: str, other: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluating, "_play", None)
+    (tmp_path / "link").symlink_to(tmp_path)
+    for place in (tmp_path / "r.gif", tmp_path / "link" / "r.gif", tmp_path / "r.gif" / "r.gif"):
+        outputs: dict[str, Any] = {one: tmp_path / "r.gif", other: place}
+        with pytest.raises(Occupied, match="two outputs of one command"):
+            evaluate(config(), replace(QUIET, overwrite=True), **outputs)
+    assert not (tmp_path / "r.gif").exists()
+
+
+def test_policies_of_one_name_have_a_row_each() -> None:
+    noisy = tuple(PolicyConfig(policy="noisy", noise=one) for one in (0.9, 1.0))
+    results = evaluate(replace(config(episodes=1), policies=noisy), QUIET)
+    assert "noisy (2)" in printed(results)
 
 
 def test_the_result_says_whose_states_were_used(states: States, tmp_path: Path) -> None:

@@ -198,6 +198,8 @@ def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
     server = ChatServer(answer)
     with server.serving():
         run_prompts(config(server.url, "read"), tmp_path / "run", QUIET, rows=rows)
+        with pytest.raises(InvalidInput, match="source.pictures is"):
+            run_prompts(config(server.url, "read"), tmp_path / "run", RESUME, rows=rows[:2])
     told = _read_transcripts(tmp_path / "run" / "transcripts.jsonl")
     asked = {hashes(one["messages"][0])[1] for one in server.requests}
     assert asked == {one["picture"] for one in told}

@@ -10,7 +10,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from knotgym.common import Counts, InvalidInput, atomic_write, require_output
+from knotgym.common import Counts, InvalidInput, atomic_write, names_apart, require_output
 
 if TYPE_CHECKING:
     from knotgym.datasets.episode_verification import Replay
@@ -56,16 +56,16 @@ def _write_files(
     from knotgym.datasets.episode_verification import expanded
 
     datasets, size = [open_episodes(path) for path in source.episodes], 0
-    pairs = zip(source.episodes, datasets, strict=True)
-    for path, one in Counts.over(pairs, "writing datasets", len(datasets)):
+    ends = [path.with_suffix("") if path.is_file() else path for path in source.episodes]
+    # by the ends of their ids, such as tie-nx3-demonstrations-v0
+    pairs = zip(names_apart(ends, "-", least=2), datasets, strict=True)
+    for name, one in Counts.over(pairs, "writing datasets", len(datasets)):
         kept = {name: one.attributes[name] for name in {"expansion"} & one.attributes.keys()}
         if not whole:
             one = replace(one, episodes=one.episodes.recording())
         elif one.episodes.is_recording:
             one = expanded(one, replay)
-        # named by the end of its id, such as tie-nx3-demonstrations-v0
-        name = f"{'-'.join(path.with_suffix('').parts[-2:])}.h5"
-        file = target / name if target.is_dir() else target
+        file = target / f"{name}.h5" if target.is_dir() else target
         write_episodes(file, [one.episodes], one.task, {**one.facts, **kept}, pack=pack)
         size += file.stat().st_size
     episodes = sum(one.episodes.episodes.rows for one in datasets)

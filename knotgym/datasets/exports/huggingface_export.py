@@ -32,7 +32,7 @@ from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 from knotgym.datasets.located import Located
 from knotgym.envs import OBSERVATIONS
-from knotgym.states import STATE_SPLITS, States, read_states
+from knotgym.states import STATE_SPLITS, States, read_states, repeated
 
 _OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't exported
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
@@ -58,6 +58,13 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     arrow()
     states = None if source.states is None else read_states(source.states)
     datasets = [columns_of(path) for path in source.episodes]
+    for one, other in repeated(
+        one.name for one in datasets
+    ):  # the column `dataset` tells them apart
+        raise InvalidInput(
+            f"two datasets have the id {datasets[one].name}: {source.episodes[one]} and"
+            f" {source.episodes[other]}"
+        )
     rows, pages = dict[str, dict[str, int]](), dict[str, str]()  # by config, and split
     for config, split, tables in _tables(states, datasets):
         path = folder / f"data/{config}/{split}-00000-of-00001.parquet"
