@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from minari import MinariDataset
 from pytest_types import Patch
+from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.adapters import goal_env
 from knotgym.common import InvalidInput
 from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
-from knotgym.envs import OBSERVATIONS, ObservationKind, TaskConfig
+from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.generate import CollectConfig, collect
-from knotgym.loaders import Transitions, arrays
-from knotgym.rope import CHAIN, ENGINES, ChainSimulation, simulation
+from knotgym.loaders import Transitions, arrays, multiplied
+from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, simulation
 from knotgym.runs import RunOptions
 
 ALONE = RunOptions(workers=1, quiet=True)
@@ -61,10 +62,12 @@ def rope_alone(frames: Any, ropes: Any, goals: Any) -> np.ndarray:
     return OBSERVATIONS["state"].halves(frames, ropes)
 
 
-ROPE = ObservationKind(
+ROPE = OBSERVATIONS["marked"]._replace(
     goal=(),
     space=lambda task: gym.spaces.Box(-np.inf, np.inf, (3 * task.beads,), np.float32),
     whole=rope_alone,
+    canonical=None,
+    centred=None,
 )
 
 
@@ -93,3 +96,39 @@ def test_every_observation_is_the_same_in_environments_arrays_and_minari(
             Transitions(made).batch([0], apart=True)
         with pytest.raises(InvalidInput, match="rope without its goal needs observation"):
             goal_env("tie", observation="rope")
+
+
+# a pull whose six numbers are negated
+SIX = VIEWS["pull"]._replace(
+    stored=lambda taken: -VIEWS["pull"].stored(taken),
+    pull=lambda view, ids: view.simulation.read_actions(-view.actions[ids], ids),
+    is_plain=False,
+    seen=None,
+    to_world=None,
+)
+
+
+@pytest.mark.parametrize("name", ["six", *VIEWS])
+def test_every_view_is_the_same_in_environments_and_arrays(
+    name: str, tmp_path: Path, monkeypatch: Patch
+) -> None:
+    monkeypatch.setitem(VIEWS, "six", SIX)
+    policy = "expert" if VIEWS[name].leads else "random"
+    made = TINY[policy] if policy == "expert" else collected(tmp_path, action=name)
+    stored, held = open_episodes(made), arrays(made, action=name, observation="state")
+    words = {**vars(stored.task), "action": name, "observation": "state"}
+    env: Any = gym.make("knotgym/Tie-v0", **words)
+    seen, _ = env.reset(seed=int(stored.episodes.episodes["seed"][0]))
+    ends = np.flatnonzero(held["terminals"] | held["timeouts"])
+    for k, action in enumerate(held["actions"][: ends[0] + 1]):
+        assert action in env.action_space
+        np.testing.assert_array_equal(seen, held["observations"][k])
+        seen, reward, *over, _ = env.step(action)
+        np.testing.assert_array_equal(seen, held["next_observations"][k])
+        assert reward == held["rewards"][k]
+        assert over == [held["terminals"][k], held["timeouts"][k]]
+    if name == "six":
+        with pytest.raises(InvalidInput, match="any action but .bead., .six., whose"):
+            arrays(made, action=name, frame="canonical")
+        with pytest.raises(InvalidInput, match="may be of the views pull, six"):
+            multiplied(held, 2, np.random.default_rng(0))

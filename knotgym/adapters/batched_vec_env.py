@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from knotgym.adapters.goal_environment import GoalBatch
 from knotgym.common import InvalidInput
 from knotgym.envs import EpisodeBatch, KnotEnv, TaskConfig
-from knotgym.rope import action_space
+from knotgym.rope import VIEWS
 
 Indices = int | Iterable[int] | None
 
@@ -27,7 +27,7 @@ class BatchedVecEnv(VecEnv):
         self.episodes = (GoalBatch if goals else EpisodeBatch)(config, num_envs, threads)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._actions: NDArray[Any] = np.empty(0)
-        space, actions = self.episodes.space, action_space(config.action, config.beads)
+        space, actions = self.episodes.space, VIEWS[config.action].space(config.beads)
         super().__init__(num_envs, space, actions)
         self.metadata = {**KnotEnv.metadata}  # how fast films are
 

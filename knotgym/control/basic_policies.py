@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knotgym.common import Ids, InvalidInput, InvalidPolicy
 from knotgym.control.sampler import Pulls
 from knotgym.envs import EpisodeBatch
-from knotgym.rope import ActionView, nearest_beads
+from knotgym.rope import ActionView
 
 
 class ActionPlayer(ABC):
@@ -45,12 +45,7 @@ class ActionPlayer(ABC):
 
     def act(self, ids: Ids) -> Pulls:
         """Choose actions, and return the pulls that carry them out."""
-        simulation, view = self.batch.simulation, self.view
-        if view.name == "pull":
-            actions = self._in_world(ids)
-            positions = simulation.rope.config.reach * actions[:, :3].astype(np.float64)
-            beads = nearest_beads(simulation.points[ids], positions)
-            return Pulls(ids, beads, actions[:, 3:])
+        view = self.view
         # The view learns of a pull when its lane acts again: then it can see where the bead is.
         before = ids[self._pulled[ids]]
         view.pulled(before, np.zeros(len(before), dtype=bool))
@@ -58,8 +53,9 @@ class ActionPlayer(ABC):
         if len(deciding):
             view.begin(self._in_world(deciding), deciding)
         self._pulled[ids] = True
-        beads, forces = view.pulls_of(ids)
-        if view.name != "macro":
+        beads, strong = view.pulls_of(ids)
+        forces = strong.astype(np.float32)
+        if not view.kind.is_macro:
             return Pulls(ids, beads, forces)
         # whether this pull is the first of its macro-action, then bead, target and side
         macros = np.column_stack([view.pulls[ids] == 0, view.macros[ids]])

@@ -45,7 +45,7 @@ from knotgym.control.policies import user_code
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.sampler import Player, Policy, Pulls, SimplePolicy
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import ActionView
+from knotgym.rope import VIEWS, ActionView
 
 _opened: dict[str, set[str]] = defaultdict(set)  # by module, and by policy
 _noted: list[set[str]] = []  # of `_opened`, what gets the files that are opened now
@@ -154,8 +154,7 @@ def load(config: PolicyConfig) -> Policy:
     from knotgym.loaders import RowPolicy  # here, as few policies are models
 
     if isinstance(given, RowPolicy):
-        # a decision is carried out by pulls, which are what the environment gets
-        action = "pull" if given.action == "decision" else given.action
+        action = VIEWS[given.action].acts_as or given.action
         seen = {"observation": given.observation, "frame": given.frame, "action": action}
         return SimplePolicy(name, partial(_RowPlayer, name, given), partial(replace, **seen))
     if not callable(getattr(given, "player", None)) or inspect.isclass(given):

@@ -51,7 +51,7 @@ from knotgym.datasets.episode_dataset import (
 )
 from knotgym.datasets.episodes import Episodes, Statistics, gauss_codes
 from knotgym.envs import TaskConfig
-from knotgym.rope import action_space
+from knotgym.rope import VIEWS
 from knotgym.states import CODE_SPLITS, minari_root
 
 Arrays = dict[str, NDArray[Any]]
@@ -290,7 +290,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
         "minari_version": minari.__version__,
         "requirements": [*here, "minari>=0.5.4"],
         "observation_space": _bounds(replace(task, split="train", states=None)),
-        "action_space": serialize_space(action_space("pull", task.beads)),
+        "action_space": serialize_space(VIEWS[TaskConfig.action].space(task.beads)),
         "env_spec": _environment_spec(task).to_json(),
         "eval_env_spec": _environment_spec(replace(task, split=split, max_goals=goals)).to_json(),
         "total_episodes": len(lengths),

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, Table, from_json, read_json, require_stored
 from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, Shown
 from knotgym.envs import TaskConfig
-from knotgym.rope import Rope, nearest_beads
+from knotgym.rope import VIEWS, Rope, nearest_beads
 from knotgym.topology import CodeArrays
 
 
@@ -42,7 +42,7 @@ def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
         if not spec["id"].startswith("knotgym/"):
             raise InvalidFile(f"it was recorded in {spec['id']}, no environment of knotgym")
         task = from_json(TaskConfig, keywords)
-        if task.action != "pull":
+        if not VIEWS[task.action].is_plain:
             raise InvalidFile(f"it holds actions of view {task.action!r}, record 'pull'")
         with h5py.File(path, "r", locking=False) as file:
             items: dict[str, Any] = {}

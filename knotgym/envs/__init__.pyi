@@ -5,7 +5,6 @@ from .marked import CanonicalFrames as CanonicalFrames
 from .marked import Marked as Marked
 from .observations import OBSERVATIONS as OBSERVATIONS
 from .observations import Frames as Frames
-from .observations import ObservationKind as ObservationKind
 from .observations import Observer as Observer
 from .reward import Situation as Situation
 from .task_states import task_sides as task_sides

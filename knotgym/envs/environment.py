@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from knotgym.common import Failed, InvalidInput, MissingExtra, python_values
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope import action_space, warn_of_compilation
+from knotgym.rope import VIEWS, warn_of_compilation
 
 Info = dict[str, Any]
 _FPS = 5  # an action lasts 0.192 s
@@ -78,7 +78,7 @@ class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
         self._window = _Window() if render_mode == "human" else None
         self.episodes = self._batch(self.config)
         self.observation_space = self.episodes.space
-        self.action_space = action_space(self.config.action, self.config.beads)
+        self.action_space = VIEWS[self.config.action].space(self.config.beads)
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
         """Start a new episode; options `start` and `goal` choose rows of the state file."""
@@ -210,7 +210,7 @@ class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArr
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
         self.single_observation_space = self.episodes.space
-        self.single_action_space = action_space(self.config.action, self.config.beads)
+        self.single_action_space = VIEWS[self.config.action].space(self.config.beads)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]

@@ -268,8 +268,6 @@ class EpisodeBatch:
         """
         if self.task.is_canonical:
             actions = self.world_actions(self.view, actions, ids)
-        if self.task.action == "pull":
-            return self.pull(ids, *self.simulation.read_actions(actions, ids), meanwhile)
         self.view.begin(actions, ids)
         total = Outcome(np.zeros(len(ids)), *np.zeros((2, len(ids)), dtype=bool))
         rows = np.arange(len(ids))
@@ -292,7 +290,9 @@ class EpisodeBatch:
 
         points = self.simulation.points[ids]
         checked, frames = view.check(actions, ids), Marked.of(points, self.goals_of(ids)).frames
-        return frames.world_actions(view.name, checked, points, self.simulation.rope.config.reach)
+        to_world = view.kind.to_world
+        assert to_world is not None  # `TaskConfig` refuses such a frame
+        return to_world(frames, checked, points, self.simulation.rope.config.reach)
 
     def tow_bound(self, index: int | Ids, share: float = 1.0) -> TowBound | None:
         """Return where ropes must stay, at a share of the `tow_limit`; None without one."""
@@ -390,7 +390,7 @@ class EpisodeBatch:
             "force": self.forces[ids],
             "applied_share": self.applied_shares[ids],
         }
-        if self.task.action == "macro":
+        if self.view.kind.is_macro:
             infos["macro_pulls"] = self.view.pulls[ids]
         return infos
 

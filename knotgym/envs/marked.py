@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Array
-from knotgym.rope import ActionView, nearest_beads
+from knotgym.rope import ActionView
 from knotgym.topology import GaussCode, Symmetry, find_crossings, images
 
 Floats = NDArray[np.float32]
@@ -116,30 +116,6 @@ class CanonicalFrames(NamedTuple):
         flat = self.vectors(forces).reshape(len(points), -1)
         parts = [self.places(beads, points) / ActionView.NEAR, flat, np.asarray(made)]
         return np.concatenate(parts, axis=1).clip(-1, 1).astype(np.float32)
-
-    def world_actions(
-        self, view: str, actions: NDArray[Any], points: Array, reach: float
-    ) -> NDArray[Any]:
-        """Map actions of a view from the frame into the world; numbers are clipped to [-1, 1].
-
-        Args:
-            view: "pull", "macro" or "decision".
-            actions: (n, 6), (n, 3) or (n, 43).
-            points: as of `decisions`.
-            reach: of the rope, metres.
-        """
-        if view == "macro":
-            return self.macros(actions, points.shape[1])
-        found = np.array(actions, dtype=np.float64)
-        vectors = found[:, 3 : 6 if view == "pull" else 3 + 3 * ActionView.LONGEST]
-        forces = self.vectors(vectors.reshape(len(found), -1, 3), back=True)
-        vectors[:] = forces.reshape(vectors.shape)
-        rows = np.arange(len(found))
-        unit = reach if view == "pull" else ActionView.NEAR
-        beads = nearest_beads(self.points(points), unit * found[:, :3])
-        own = points[rows, self.renumber(beads, points.shape[1])]
-        found[:, :3] = (own if view == "pull" else own - self.centres) / unit
-        return found.clip(-1, 1).astype(np.float32)
 
     def sides(self, sides: ArrayLike) -> NDArray[np.int64]:
         """Map sides (n,), +1 over and -1 under, from the world into the frame, or back."""

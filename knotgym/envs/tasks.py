@@ -14,13 +14,12 @@ from knotgym.common import Distinct, InvalidInput, Mark, choice, configuration
 from knotgym.envs.observations import LAYOUTS, OBSERVATIONS
 from knotgym.quality import RESET_NOISE
 from knotgym.rendering import APPEARANCES, AppearanceName, CameraName, PictureConfig, Views
-from knotgym.rope import ENGINES, MUJOCO, EngineName
+from knotgym.rope import ENGINES, MUJOCO, VIEWS, EngineName
 from knotgym.states import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
-ACTIONS = ("pull", "bead", "macro", "decision")  # see `knotgym.rope.action_views`
 MOST_STEPS = 100_000  # of an episode; arrays of all steps are made before it begins
 _BEADS = range(50, 1001)  # that a rope may have
 # parameters of the rope that its states depend on, and those that the keyword `rope` can't set
@@ -130,7 +129,7 @@ class TaskConfig:
     beads: Annotated[int, Field(ge=_BEADS.start, le=_BEADS[-1])] = 100
     rope: dict[str, float] | None = None
     observation: Annotated[str, choice(growing=OBSERVATIONS)] = "pixels"
-    action: Annotated[str, choice(*ACTIONS)] = "pull"
+    action: Annotated[str, choice(growing=VIEWS)] = "pull"
     frame: Annotated[str, choice("world", "canonical")] = "world"
     max_goals: PositiveInt | None = None
     horizon: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 50
@@ -163,11 +162,12 @@ class TaskConfig:
             _ = self.rope_config  # refuses values out of range
         PictureConfig(depth=self.depth, renderer=self.renderer)  # type: ignore[arg-type]
         framed = OBSERVATIONS[self.observation].canonical is not None
-        if self.is_canonical and not (framed and self.action != "bead"):
+        if self.is_canonical and not (framed and VIEWS[self.action].to_world):
             shown = (f'"{name}"' for name, kind in OBSERVATIONS.items() if kind.canonical)
+            lack = (f'"{name}"' for name, kind in VIEWS.items() if not kind.to_world)
             raise InvalidInput(
                 f'frame "canonical" goes with observation {" or ".join(shown)} and any action but'
-                ' "bead", whose forces are of the world; got'
+                f" {', '.join(lack)}, whose forces are of the world; got"
                 f" {self.observation!r} and {self.action!r}"
             )
         if max(self.crossings) > (most := self.most_nx(self.beads)):

@@ -181,7 +181,11 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
 
 def _acting(result: Result) -> str:
     """Name the policy, and the view that it acted in unless that is "pull"."""
-    return result.policy if result.action == "pull" else f"{result.policy} ({result.action})"
+    return (
+        result.policy
+        if result.action == TaskConfig.action
+        else f"{result.policy} ({result.action})"
+    )
 
 
 def reference_scores() -> dict[str, Any]:

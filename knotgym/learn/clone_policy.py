@@ -32,7 +32,7 @@ from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.photos import inference
-from knotgym.rope import ActionView, ChainSimulation
+from knotgym.rope import VIEWS, ActionView, ChainSimulation
 from knotgym.topology import GaussCode, label
 
 _BLOCK = 32  # states that the network is given at a time: its sums depend on their number
@@ -62,7 +62,8 @@ class ClonePolicy:
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
         """Return the task with observation "state" or "pixels"; raise InvalidPolicy if unfit."""
-        if task.action not in ("macro", "pull"):
+        view = VIEWS[task.action]
+        if not (view.is_macro or view.is_plain):
             raise InvalidPolicy(
                 f"policy {CLONE} chooses macro-actions, so it needs action 'macro' or 'pull', got"
                 f" {task.action!r}"

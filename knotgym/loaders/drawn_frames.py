@@ -52,7 +52,7 @@ class DrawnFrames:
             InvalidInput: the observation has no pictures to cache.
             InvalidFile: the folder can't be written, or is somebody else's.
         """
-        self._dataset, self._task, self._kind = dataset, task, OBSERVATIONS[task.observation]
+        self._dataset, self.task, self._kind = dataset, task, OBSERVATIONS[task.observation]
         self._observer = Observer(dataset.task, picture)
         self._rows = dataset.episodes.steps.rows
         self._count = self._rows + dataset.episodes.episodes.rows
@@ -83,7 +83,7 @@ class DrawnFrames:
         """
         each = [np.repeat(goals, ids.size // max(1, len(goals))) for ids in shown]
         ropes = np.concatenate([ids.ravel() for ids in shown])
-        seen = self._kind.observe(self._task, self._frames, ropes, np.concatenate(each))
+        seen = self._kind.observe(self.task, self._frames, ropes, np.concatenate(each))
         return _shaped(seen, shown)
 
     def alone(self, shown: list[Ids]) -> list[Any]:
@@ -92,7 +92,7 @@ class DrawnFrames:
         Raises:
             InvalidInput: the observations depend on rope and goal.
         """
-        if not self._kind.has_halves(self._task):
+        if not self._kind.has_halves(self.task):
             raise InvalidInput(
                 "a marked observation has no halves, nor has one in the canonical frame, which"
                 " depends on rope and goal; choose another observation or frame, or leave out apart"
@@ -107,7 +107,7 @@ class DrawnFrames:
 
     def frames_of(self, ropes: Ids, goals: Ids) -> CanonicalFrames:
         """Return the frames of ropes (n,) with goals (n,): canonical, or centred alone."""
-        if self._task.is_canonical:
+        if self.task.is_canonical:
             return self._frames.marked(ropes, goals).frames
         return CanonicalFrames.centred(self.points(ropes))
 

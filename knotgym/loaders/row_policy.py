@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
 from knotgym.envs import OBSERVATIONS, TaskConfig
-from knotgym.rope import ActionView
+from knotgym.rope import VIEWS, ActionView
 
 # Rows that a model is given at a time: a network's sums depend on their number, and an episode must
 # not depend on those beside it.
@@ -48,7 +48,7 @@ class RowPolicy:
         if found.shape[:1] != (_BLOCK,):
             gave = f"{_BLOCK} gave {found.shape}"
             raise InvalidPolicy(f"a model must return a row for each observation: {gave}")
-        if self.action != "decision" or found.ndim != 3:
+        if not VIEWS[self.action].relative or found.ndim != 3:
             return found
         centred = OBSERVATIONS[self.observation].centred
         if centred is None:

@@ -97,7 +97,7 @@ class Symmetries(Symmetry):
     def _pictures(self, pictures: ArrayLike, ropes: int = 2) -> Array:
         """Turn and mirror pictures of ropes side by side, (n, ..., size, ropes size, channels)."""
         seen = np.asarray(pictures)
-        if self.switch.any() or self.reverse.any() or not self._has_quarter_turns:
+        if self.switch.any() or self.reverse.any() or not self.has_quarter_turns:
             raise InvalidInput(
                 "pictures have images under quarter turns and mirrors alone; draw the symmetries"
                 " with of_pictures=True"
@@ -148,7 +148,7 @@ class Symmetries(Symmetry):
                 see = partial(self._observations, ropes=ropes, beads=beads)
                 made[name] = Observer.map_parts(values, see)
             elif name in _ACTIONS:
-                made[name] = self._actions(np.asarray(values), beads)
+                made[name] = ActionView.image(self, np.asarray(values), beads)
                 if made[name].dtype.kind == "f":
                     forces = np.abs(made[name][..., 3:])
                     kept &= (forces <= 1 + 1e-6).all(axis=tuple(range(1, forces.ndim)))
@@ -163,7 +163,8 @@ class Symmetries(Symmetry):
         return np.rint(self.turn / (np.pi / 2)).astype(np.int64) % 4
 
     @property
-    def _has_quarter_turns(self) -> bool:
+    def has_quarter_turns(self) -> bool:
+        """Whether all turns are by quarters."""
         return bool(np.allclose(self.turn, np.rint(self.turn / (np.pi / 2)) * (np.pi / 2)))
 
     def _observations(self, seen: ArrayLike, ropes: int, beads: int) -> Array:
@@ -181,30 +182,6 @@ class Symmetries(Symmetry):
             )
         points = values.reshape(*values.shape[:-1], ropes, beads, 3)
         return self.vertices(points).reshape(values.shape)
-
-    def _actions(self, actions: Array, beads: int) -> Array:
-        """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""
-        if actions.dtype.kind == "f":
-            if actions.shape[-1] != 6:
-                raise InvalidInput("decisions have no images here: load them in frame 'canonical'")
-            # position and force are two vectors, moved alike
-            moved = self.vectors(actions.reshape(*actions.shape[:-1], 2, 3))
-            return moved.reshape(actions.shape)
-        made = actions.copy()
-        if actions.shape[-1] == 3:
-            made[..., :2] = self.beads(actions[..., :2], beads)
-            flips = self.switch.reshape(-1, *(1 for _ in actions.shape[1:-1]))
-            made[..., 2] = np.where(flips, 1 - actions[..., 2], actions[..., 2])
-            return made
-        if not self._has_quarter_turns:
-            raise InvalidInput(
-                "actions of the view bead have images under quarter turns alone; draw the"
-                " symmetries with of_pictures=True"
-            )
-        made[..., 0] = self.beads(actions[..., 0], beads)
-        forces = self.vectors(ActionView.chosen_forces(actions[..., 1:]))
-        made[..., 1:] = ActionView.force_choices(forces)
-        return made
 
 
 def multiplied(

@@ -23,7 +23,7 @@ from knotgym.envs import Situation, TaskConfig
 from knotgym.loaders.drawn_frames import DrawnFrames
 from knotgym.loaders.items import Index, rows_at
 from knotgym.loaders.windows import GoalSampling, Window
-from knotgym.rope import ActionView, nearest_beads
+from knotgym.rope import VIEWS, Taken
 
 _VIEWS = "observation", "action", "frame"  # that a loader may choose
 
@@ -108,7 +108,8 @@ class Transitions:
         }
         seen = replace(self.task, **views)
         self.action, self.frame = seen.action, seen.frame
-        self.leads = self.action in ("macro", "decision")  # a transition is a macro-action
+        self._view = VIEWS[self.action]
+        self.leads = self._view.leads  # a transition is a macro-action
         relabel = opening.get("relabel")
         self._labels, self._relabelled = opening.get("labels", False), relabel is not None
         self._check(seen)
@@ -151,7 +152,7 @@ class Transitions:
             " a policy that acts in macro-actions": self.leads and "macro_start" not in steps,
             "actions that follow one another are seen from where each begins: leave out chunk and"
             " history, or use frame 'world' and another action than 'decision'": (
-                (seen.is_canonical or self.action == "decision")
+                (seen.is_canonical or self._view.relative)
                 and (chunk or (window is not None and window.history is not None))
             ),
             "the expert's actions lead to the episode's own goal: use labels without relabel": (
@@ -203,12 +204,12 @@ class Transitions:
     @cached_property
     def actions(self) -> NDArray[Any]:
         """float32 (N, 6) or (N, 43); in other views int64 (N, 4) or (N, 3); see `batch`."""
-        return self._actions("expert_action" if self._labels else "action")
+        return self._view.stored(self._taken_as("expert_action" if self._labels else "action"))
 
     @cached_property
     def _taken(self) -> NDArray[Any]:
         """The actions that were taken, where `actions` are the expert's."""
-        return self._actions("action") if self._labels else self.actions
+        return self._view.stored(self._taken_as("action")) if self._labels else self.actions
 
     def seen_actions(self, rows: Ids, goals: Ids | None = None) -> dict[str, NDArray[Any]]:
         """Return the actions of transitions in the frames of their first states.
@@ -220,48 +221,20 @@ class Transitions:
         Returns:
             actions, and for decisions beads int64 (n,) and whole bool (n,), see `arrays`.
         """
-        steps, before = self.dataset.episodes.steps, self._before[rows]
-        if self.frame == "world" and self.action != "decision":
-            return {"actions": self.actions[rows]}
+        actions = self.actions[rows]
+        if not (self._frames.task.is_canonical or self._view.relative):
+            return {"actions": actions}
         goals = self._goals(self._segments(rows)) if goals is None else goals
-        frames = self._frames.frames_of(before, goals)
-        points = self._frames.points(before)
-        if self.action == "macro":
-            return {"actions": frames.macros(self.actions[rows], points.shape[1])}
-        if self.action == "pull":
-            found, reach = self.actions[rows].astype(np.float64), self.task.rope_config.reach
-            beads = nearest_beads(points, reach * found[:, :3])
-            found[:, :3] = frames.places(beads, points) / reach
-            found[:, 3:] = frames.vectors(found[:, 3:])
-            return {"actions": found.clip(-1, 1).astype(np.float32)}
-        beads, after = steps["bead"][before].astype(np.int64), self._after[rows]
-        each = before[:, None] + np.arange(ActionView.LONGEST)
-        inside = np.minimum(each, after[:, None] - 1)
-        # a macro-action ends where the next begins, or before a pull that is part of none
-        made = ((each < after[:, None]) & (steps["macro_side"][inside] != 0)).cumprod(axis=1) > 0
-        forces = np.where(made[..., None], steps["force"][inside], 0)
-        ended = before + made.sum(axis=1) == after
-        return {
-            "actions": frames.decisions(beads, forces, np.where(made, 1, -1), points),
-            "beads": frames.renumber(beads, points.shape[1]),
-            "whole": ended | made.all(axis=1),
-        }
+        taken = self._taken_as("action", rows)
+        seen = self._view.seen
+        assert seen is not None  # `TaskConfig` refuses such a frame
+        return seen(self._frames.frames_of(taken.before, goals), taken, actions)
 
-    def _actions(self, name: str) -> NDArray[Any]:
-        steps, at = self.dataset.episodes.steps, self._before
-        if self.action == "macro":
-            led = (steps[f"macro_{part}"][at].astype(np.int64) for part in ("bead", "target"))
-            return np.stack([*led, (steps["macro_side"][at].astype(np.int64) + 1) // 2], axis=1)
-        pulls = steps[name][at]
-        if self.action in ("pull", "decision"):
-            return pulls
-        if name == "action":
-            beads = steps["bead"][at].astype(np.int64)
-        else:
-            points = steps["observation"][at].astype(np.float64)
-            reach = self.task.rope_config.reach
-            beads = nearest_beads(points, reach * pulls[:, :3].astype(np.float64))
-        return np.column_stack([beads, ActionView.force_choices(pulls[:, 3:])])
+    def _taken_as(self, name: str, rows: Any = slice(None)) -> Taken:
+        reach = self.task.rope_config.reach
+        return Taken(
+            self.dataset.episodes.steps, self._before[rows], self._after[rows], name, reach
+        )
 
     @cached_property
     def rewards(self) -> Array:

@@ -1,7 +1,8 @@
+from .action_views import VIEWS as VIEWS
 from .action_views import ActionView as ActionView
+from .action_views import Taken as Taken
 from .actions import FORCE_BINS as FORCE_BINS
 from .actions import TowBound as TowBound
-from .actions import action_space as action_space
 from .actions import drawn_actions as drawn_actions
 from .actions import nearest_beads as nearest_beads
 from .actions import quantized as quantized

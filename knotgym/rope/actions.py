@@ -23,10 +23,9 @@ the bound.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Array, InvalidInput, Stream
@@ -41,10 +40,6 @@ FORCE_CHOICES = 11
 # width, and sets and learners of them can't be used any more.
 LONGEST = 10  # pulls of a macro-action or of a decision, at most
 NEAR = 1 / 3  # metres from the rope's centre that 1 stands for in a decision; ropes are 0.2 m wide
-DECISION = 3 + 4 * LONGEST  # numbers of a decision
-# Values of each whole number of an action, by view; 0 stands for the number of beads. Actions of
-# other views are numbers in [-1, 1].
-_CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
 
 
 def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
@@ -105,15 +100,6 @@ def drawn_actions(key: tuple[int, ...], steps: int) -> NDArray[np.float32]:
     same key is a prefix of a longer one.
     """
     return Stream.generator_of(key).uniform(-1, 1, (steps, 6)).astype(np.float32)
-
-
-def action_space(view: str, beads: int) -> spaces.Space[NDArray[Any]]:
-    """Return the space of the actions of a view, see `action_views`."""
-    if view in _CHOICES:
-        # 0 stands for as many as there are beads, which only the task knows
-        return spaces.MultiDiscrete([count or beads for count in _CHOICES[view]])
-    size = 6 if view == "pull" else DECISION
-    return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (size,), np.float32))
 
 
 @dataclass(frozen=True, eq=False)

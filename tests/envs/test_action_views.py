@@ -75,7 +75,7 @@ def test_a_macro_action_ends_at_its_last_waypoint_or_after_ten_pulls(task: TaskC
         _, _, terminated, _, info = env.step(env.action_space.sample())
         used.append(info["macro_pulls"])
         assert used[-1] == env.episodes.steps[0] - steps
-        arrived = bool(env.episodes.view._controller.idle[0])
+        arrived = bool(env.episodes.view.follower.idle[0])
         assert arrived or terminated or used[-1] == ActionView.LONGEST
         if terminated:
             _, info = env.reset()

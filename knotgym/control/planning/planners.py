@@ -27,7 +27,7 @@ from knotgym.control.planning.passes import PassPlan, PassSearch, PassValues, Tr
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.sampler import Player, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import ChainSimulation, Pass, Simulation, WaypointFollower, simulation_of
+from knotgym.rope import VIEWS, ChainSimulation, Pass, Simulation, WaypointFollower, simulation_of
 from knotgym.topology import GaussCode, label
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def chooses_pulls(task: TaskConfig) -> TaskConfig:
     Raises:
         InvalidPolicy: its actions are of another view than pulls.
     """
-    if task.action != "pull":
+    if not VIEWS[task.action].is_plain:
         raise InvalidPolicy(
             f"this policy chooses pulls, so its action must be 'pull', got {task.action!r}"
         )
