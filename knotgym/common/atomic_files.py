@@ -12,12 +12,13 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from itertools import permutations
 from pathlib import Path
 
+from knotgym.common.configurations import read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, Occupied
 
 # what identifies a folder as an output of this package, so that --overwrite may replace it
@@ -116,17 +117,31 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         raise Occupied(f"{target} {why}; choose another --out")
 
 
-def _foreign(folder: Path) -> str:
-    """Return the name of an entry of a folder that this package doesn't write there, or ""."""
+def _foreign(folder: Path, listed: Collection[Path] | None = None) -> str:
+    """Return the name of an entry of a folder that this package doesn't write there, or "".
+
+    Args:
+        folder: an output, or a folder in one.
+        listed: files of the output by its manifest; None to read that.
+    """
+    if listed is None:
+        listed = {folder / name for name in _listed(folder / "manifest.json")}
     entries = sorted(folder.iterdir())
     marks = [mark for mark in _MARKS if any(folder.glob(mark))]
     known = [*marks, *_BESIDE] if marks else []
     for entry in entries:
-        is_known = any(fnmatchcase(entry.name, one) for one in known)
+        is_known = entry in listed or any(fnmatchcase(entry.name, one) for one in known)
         inside = entry.is_dir() and not entry.is_symlink() and any(entry.iterdir())
-        if not is_known and (not inside or _foreign(entry)):
+        if not is_known and (not inside or _foreign(entry, listed)):
             return entry.name
     return ""
+
+
+def _listed(manifest: Path) -> list[str]:
+    try:
+        return [*read_json(manifest)["files"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
 
 
 def _require_writable(target: Path) -> None:

@@ -11,7 +11,7 @@ import json
 import os
 import struct
 import tomllib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from importlib.resources import files
@@ -339,6 +339,8 @@ def _read(path: Path, columns: list[str] | None, images: bool) -> Any:
         for column, values in zip(table.column_names, table.columns, strict=True):
             if column in known and any(map(_has_nulls, values.chunks)):
                 raise InvalidFile(f"column {column} has missing values")
+            if column in known.keys() - {"points"} and not all(map(_is_number, values.chunks)):
+                raise InvalidFile(f"column {column} holds numbers that aren't finite")
         return table
 
 
@@ -374,6 +376,22 @@ def _require_schema(file: Any, stored: int) -> None:
         raise InvalidFile(f"it declares {metadata.num_rows} rows but stores {stored} bytes")
     if not 0 <= size <= _MOST_EXPANDED * stored:
         raise InvalidFile(f"it declares {size} bytes but stores {stored}")
+
+
+def _is_number(values: Any, right: Callable[..., Any] = np.isfinite) -> bool:
+    """Check the floats in an Arrow array; measures, fields of a row's one struct, may be infinite.
+
+    Of points `points_of` says where they aren't finite.
+    """
+    pa = arrow()
+    if pa.types.is_struct(values.type):
+        return all(_is_number(one, lambda v: ~np.isnan(v)) for one in values.flatten())
+    if pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
+        inner = values.flatten()
+        columns = inner.flatten() if pa.types.is_struct(inner.type) else [inner]
+        return all(map(_is_number, columns))
+    whole = not pa.types.is_floating(values.type)
+    return whole or bool(right(values.to_numpy(zero_copy_only=False)).all())
 
 
 def _has_nulls(values: Any) -> bool:

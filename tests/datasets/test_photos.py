@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from synthetic_pictures import picture_rows
 
+from knotgym.common import InvalidFile, Occupied
 from knotgym.control import replay
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.exports import export
-from knotgym.datasets.image_table import decode, drawn_table, parquet, read_rows
+from knotgym.datasets.image_table import decode, drawn_table, parquet, read_rows, read_table
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import _page_data, _page_html
 from knotgym.datasets.row_verification import _picture_faults
@@ -126,19 +127,48 @@ def test_a_webdataset_holds_pictures_strands_and_the_rest(
     folder: Path, rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     export(str(folder), tmp_path / "tars", "webdataset", replay)
-    with tarfile.open(tmp_path / "tars/train-000000.tar") as tar:
-        held = {one.name: tar.extractfile(one).read() for one in tar}  # type: ignore[union-attr]
+    held = dict[str, bytes]()
+    for number in range(len(rows)):  # so few rows have a file each, for as many workers
+        with tarfile.open(tmp_path / f"tars/train-{number:06d}.tar") as tar:
+            held |= {one.name: tar.extractfile(one).read() for one in tar}  # type: ignore[union-attr]
+    assert b"Infinity" not in b"".join(held.values())
     for number, row in enumerate(rows):
         assert held[f"{number:06d}.png"] == row["image"]
         assert held[f"{number:06d}.strands.png"] == row["strands"]
         assert json.loads(held[f"{number:06d}.json"])["boxes"] == row["boxes"]
 
 
+@pytest.mark.parametrize("form", ["coco", "webdataset"])
+def test_an_export_is_known_again_and_replaced(form: str, folder: Path, tmp_path: Path) -> None:
+    for overwrite in (False, True):
+        export(str(folder), tmp_path / "out", form, replay, overwrite=overwrite)
+    (tmp_path / "out/mine.tar").touch()
+    with pytest.raises(Occupied, match="mine.tar in it isn't an output of this package"):
+        export(str(folder), tmp_path / "out", form, replay, overwrite=True)
+
+
+@pytest.mark.parametrize("place", ["crossings", "line", "photo"])
+def test_numbers_that_are_not_finite_are_refused(
+    place: str, folder: Path, rows: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    table = read_table(folder)
+    held = table.to_pylist()
+    part, name = {
+        "crossings": (held[-1]["crossings"][0], "x"),
+        "line": (held[-1]["line"], 1),
+        "photo": (held[-1]["photo"], "right"),
+    }[place]
+    part[name] = float("nan")
+    (tmp_path / "test.parquet").write_bytes(parquet(type(table).from_pylist(held, table.schema)))
+    with pytest.raises(InvalidFile, match=f"column {place} holds numbers that aren't finite"):
+        export(str(tmp_path / "test.parquet"), tmp_path / "out", "coco", replay)
+
+
 @pytest.mark.clients
 def test_webdataset_reads_exports(folder: Path, rows: list[dict[str, Any]], tmp_path: Path) -> None:
     tars = pytest.importorskip("webdataset")
     export(str(folder), tmp_path / "tars", "webdataset", replay)
-    shards = tars.WebDataset(str(tmp_path / "tars/train-000000.tar"), shardshuffle=False)
+    shards = tars.WebDataset(str(tmp_path / "tars/train-{000000..000002}.tar"), shardshuffle=False)
     for row, sample in zip(rows, shards.decode("rgb8"), strict=True):
         assert np.array_equal(sample["png"], decode(row["image"]))
         assert sample["json"]["gauss_code"] == row["gauss_code"]
@@ -160,6 +190,8 @@ def test_pycocotools_reads_what_is_exported_and_scores_the_truth_perfect(
         assert len(crossings) == row["nx"] and all(coco.annToMask(one).any() for one in crossings)
     for kind, given in (("bbox", "bbox"), ("segm", "segmentation"), ("keypoints", "keypoints")):
         kept = ("image_id", "category_id", given)
+        assert coco.dataset["info"] and coco.dataset["licenses"][0]["id"] == 1  # loadRes takes them
+        assert {one["supercategory"] for one in coco.dataset["categories"]} == {"rope"}
         found = [{"score": 1.0} | {name: one[name] for name in kept} for one in coco.anns.values()]
         score = scoring.COCOeval(coco, coco.loadRes(found), kind)
         for step in (score.evaluate, score.accumulate, score.summarize):

@@ -21,13 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import knotgym
 from knotgym.common import Counts, InvalidInput
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.image_table import decode, file_stem, read_rows, read_table
 from knotgym.datasets.located import Located
 from knotgym.states import IMAGE_SPLITS
 
-_PER_SHARD = 1000  # pictures in a tar file
+_PER_SHARD = 1000  # most pictures in a tar file
+_SHARDS = 16  # tar files of a split, about, at least
 # beads from a crossing along a strand; with the crossing itself 17 keypoints, see above
 _ALONG = {
     f"{side}_{4 * abs(at):.0f}": at * (1 if side == "behind" else -1)
@@ -38,11 +40,12 @@ _KEYPOINTS = ("crossing", *(f"{strand}_{name}" for strand in ("over", "under") f
 # scoring asks for them
 _NO_KEYPOINTS = {"keypoints": [0] * (3 * len(_KEYPOINTS)), "num_keypoints": 0}
 _CATEGORIES = [
-    {"id": 1, "name": "rope"},
+    {"id": 1, "name": "rope", "supercategory": "rope"},
     {"id": 2, "name": "strand", "supercategory": "rope"},
     {"id": 3, "name": "crossing", "supercategory": "rope", "keypoints": [*_KEYPOINTS]}
     | {"skeleton": [[1, k] for k in range(2, len(_KEYPOINTS) + 1)]},
 ]
+_LICENCE = {"id": 1, "name": "CC BY 4.0", "url": "https://creativecommons.org/licenses/by/4.0/"}
 _TOLD = ("gauss_code_chiral", "canonical_code", "pd_code", "dt_code", "nx", "knot", "photo")
 
 
@@ -53,8 +56,10 @@ def to_coco(source: Located, folder: Path, _: Replay) -> str:
         InvalidInput: the pictures aren't photos, which alone have masks.
     """
     counts = {"images": 0, "annotations": 0}
-    for split, rows in _splits(source):
-        coco: dict[str, Any] = {"categories": _CATEGORIES, "images": [], "annotations": []}
+    for split, _count, rows in _splits(source):
+        about = {"description": source.title, "version": knotgym.__version__}
+        coco: dict[str, Any] = {"info": about, "licenses": [_LICENCE], "categories": _CATEGORIES}
+        coco |= {"images": [], "annotations": []}
         (folder / split).mkdir()
         for number, row in enumerate(rows):
             if "photo" not in row:
@@ -62,23 +67,24 @@ def to_coco(source: Located, folder: Path, _: Replay) -> str:
             name, size = f"{split}/{number:06d}.png", row["appearance"]["size"]
             (folder / name).write_bytes(row["image"])
             facts = {one: row[one] for one in _TOLD}
-            picture = {"id": number, "file_name": name, "width": size, "height": size}
+            picture = {"id": number, "file_name": name, "width": size, "height": size, "license": 1}
             coco["images"].append(picture | facts)
             for annotation in _annotations(row):
                 place = {"id": len(coco["annotations"]) + 1, "image_id": number}
                 coco["annotations"].append(place | annotation)
-        (folder / f"{split}.json").write_text(json.dumps(coco), encoding="utf-8")
+        (folder / f"{split}.json").write_text(_json(coco), encoding="utf-8")
         counts = {name: counts[name] + len(coco[name]) for name in counts}
     return f"{counts['images']} pictures, {counts['annotations']} annotations"
 
 
 def to_webdataset(source: Located, folder: Path, _: Replay) -> str:
-    """Write pictures as tar files in the order of their rows."""
+    """Write pictures as tar files in the order of their rows, 16 or more if there are as many."""
     total = 0
-    for split, rows in _splits(source):
-        done = 0
-        while few := [*islice(rows, _PER_SHARD)]:
-            with tarfile.open(folder / f"{split}-{done // _PER_SHARD:06d}.tar", "w") as tar:
+    for split, count, rows in _splits(source):
+        # a loader's worker takes whole files
+        done, each = 0, min(_PER_SHARD, -(-count // _SHARDS))
+        while few := [*islice(rows, each)]:
+            with tarfile.open(folder / f"{split}-{done // each:06d}.tar", "w") as tar:
                 for number, row in enumerate(few, done):
                     for end, data in _sample(row).items():
                         entry = tarfile.TarInfo(f"{number:06d}.{end}")
@@ -89,22 +95,35 @@ def to_webdataset(source: Located, folder: Path, _: Replay) -> str:
     return f"{total} pictures"
 
 
+def _json(value: Any) -> str:
+    """Write JSON; a measure that is infinite, such as the margin of a plain loop, is null."""
+
+    def known(one: Any) -> Any:
+        if isinstance(one, dict):
+            return {name: known(inner) for name, inner in one.items()}
+        if isinstance(one, list):
+            return [*map(known, one)]
+        return None if one in (np.inf, -np.inf) else one
+
+    return json.dumps(known(value), allow_nan=False)
+
+
 def _sample(row: Mapping[str, Any]) -> dict[str, bytes]:
     """Return the files of a picture, by the ends of their names."""
     facts = {name: value for name, value in row.items() if name not in ("image", "strands")}
-    files = {"png": row["image"], "json": json.dumps(facts).encode()}
+    files = {"png": row["image"], "json": _json(facts).encode()}
     return files | ({"strands.png": row["strands"]} if "strands" in row else {})
 
 
-def _splits(source: Located) -> Iterator[tuple[str, Iterator[dict[str, Any]]]]:
-    """Yield the name of each split, as in file names, and its rows."""
+def _splits(source: Located) -> Iterator[tuple[str, int, Iterator[dict[str, Any]]]]:
+    """Yield the name of each split, as in file names, how many rows it has, and these."""
     assert source.pictures is not None
     found = read_table(source.pictures, columns=["split"])["split"].to_pylist()
     counts = Counter(map(file_stem, found))
     for split in IMAGE_SPLITS:
         if count := counts[name := file_stem(split)]:
             rows = read_rows(source.pictures, split)
-            yield name, Counts.over(rows, f"writing pictures of {name}", count)
+            yield name, count, Counts.over(rows, f"writing pictures of {name}", count)
 
 
 def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
