@@ -27,7 +27,7 @@ _MARKS = (
 )
 _BESIDE = (
     "README.md gallery.png minari data croissant.json namespace_metadata.json weights.safetensors"
-    " curve.csv curve.png transcripts.jsonl reset.png expert.gif expert.mp4"
+    " curve.csv training.csv curve.png transcripts.jsonl reset.png expert.gif expert.mp4"
 ).split()
 # what a rename meets where another process was faster
 _TAKEN = errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR, errno.ENOENT

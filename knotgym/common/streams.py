@@ -57,6 +57,7 @@ class Stream(IntEnum):
     LEARN_PLACES = 52  # the start positions of ropes that are kept
     LEARN_CLONE = 53  # step of training the clone
     LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
+    LEARN_TRIAL = 55  # number of the episode: the seed of one that a learner plays while it trains
     DEMONSTRATION = 58  # task, nx, episode: the seed of a demonstration for a clone
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play

@@ -8,7 +8,7 @@ same weights.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -26,21 +26,26 @@ from knotgym.learn.training_data import Examples
 _DECAY = 0.05  # of the weights
 _AVERAGE = 0.998  # decay of their average, per step
 _HELD_OUT = 0.1  # share of the episodes
+_TRIALS = 10  # of a training, about
 _JUDGED = 2048  # held-out decisions on which weights are judged, at most
+
+Trial = Callable[[CloneNetwork], float]  # plays a network; returns its success rate
 
 
 class CloneTraining(Training):
     """A clone in training.
 
     Every `save_every` steps the averaged weights are judged; `losses` are the mean training loss
-    since the last time, and the held-out loss.
+    since the last time, and the held-out loss. About ten times the averaged weights are played by
+    `trial`, which returns a success rate.
     """
 
     LEARNER, NAME, LOSSES = CLONE, "clone", ("training", "held_out")
     network: CloneNetwork
 
-    def __init__(self, config: CloneConfig, data: Examples) -> None:
+    def __init__(self, config: CloneConfig, data: Examples, trial: Trial | None = None) -> None:
         """Begin a training on examples."""
+        self._trial = trial
         torch.manual_seed(config.seed)
         network = CloneNetwork(config.width, config.layers).to(config.device)
         super().__init__(network, config.rate, _DECAY, config.steps)
@@ -88,11 +93,15 @@ class CloneTraining(Training):
         if judged < self._least.item():
             self._least.fill_(judged)
             self._best = _copied(self._average)
-        self.losses.append((self.step, torch.stack(losses).mean().item(), judged))
+        mean, success = torch.stack(losses).mean().item(), math.nan
+        apart = config.save_every * -(-config.steps // (_TRIALS * config.save_every))
+        if self._trial and (self.step % apart == 0 or self.step == config.steps):
+            success = self._trial(self._made(self._average).cpu())
+        self.losses.append((self.step, mean, judged, success))
 
     def _ended(self) -> Trained:
         """Return the network with the averaged weights of least held-out loss."""
-        step, _, loss = min(self.losses, key=lambda row: row[2])
+        step, _, loss, _ = min(self.losses, key=lambda row: row[2])
         kept, steps = int(step), self._config.steps
         early = "; later steps fit only the training episodes" if kept < steps else ""
         summary = f"kept step {kept} of {steps}, held-out loss {loss:.2f}{early}"

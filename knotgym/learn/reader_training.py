@@ -4,6 +4,8 @@ After a change run `pytest tests/learn/test_training.py`: an interrupted trainin
 same weights.
 """
 
+import math
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -58,7 +60,7 @@ class ReaderTraining(Training):
         guesses[own], moves[own] = best.detach().double().numpy()[own], 0.0
         second = _loss(self.network.corrected(seen, guesses, moves), wanted).mean()
         self._minimize(first + second)
-        self.losses.append((self.step, first.item(), second.item()))
+        self.losses.append((self.step, first.item(), second.item(), math.nan))
 
     def _ended(self) -> Trained:
         """Return the reader and start positions of ropes, drawn from those of the data."""

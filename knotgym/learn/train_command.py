@@ -1,5 +1,8 @@
 """The command `knotgym train`."""
 
+from collections.abc import Callable
+from functools import cache, partial
+from math import isnan
 from pathlib import Path
 
 from knotgym.cli import EXISTING, Given, command
@@ -9,7 +12,12 @@ from knotgym.learn.train_config import CloneConfig, ReaderConfig
 
 @command({"": ReaderConfig, "clone": CloneConfig}, f"steps seed run.workers {EXISTING}")
 def train(
-    given: Given, *, out: Path, data: list[str] | None = None, learner: str = "pictures"
+    given: Given,
+    *,
+    out: Path,
+    data: list[str] | None = None,
+    learner: str = "pictures",
+    log: str | None = None,
 ) -> None:
     """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.
 
@@ -25,6 +33,8 @@ def train(
         data: Minari id or folder of train-split episodes; may be repeated.
         learner: pictures: the learner from pictures alone. clone: imitates the macro-actions of a
             planner, from vertices; its settings are in the section clone.
+        log: Also write the learning curve, as it grows, beside the folder: tensorboard, or wandb
+            (offline). Needs the extra log.
     """
     config: ReaderConfig | CloneConfig
     if learner == "clone":
@@ -42,5 +52,49 @@ def train(
         MissingExtra.imported(library, "learn", "knotgym train")
     from knotgym.learn.train_recipe import train as train_learner
 
-    train_learner(data or [], out, config, given.run, given.progress)
+    writer = log_writer(log, out) if log else None
+    train_learner(data or [], out, config, given.run, given.progress, writer)
     given.progress.say(f"next: knotgym evaluate --policy {out} --split train,test")
+
+
+def log_writer(name: str, out: Path) -> Callable[[int, dict[str, float]], None]:
+    """Return what writes values by name at a step; a library's own writer opens at the first.
+
+    Raises:
+        InvalidInput: there is no writer of that name.
+        MissingExtra: the library isn't installed.
+    """
+    if name not in LOGS:
+        raise InvalidInput(f"no log {name!r}; there is {', '.join(LOGS)}")
+    MissingExtra.imported(name, "log", f"--log {name}")
+    opened = cache(partial(LOGS[name], out))
+
+    def _write(step: int, values: dict[str, float]) -> None:
+        opened()(step, {name: one for name, one in values.items() if not isnan(one)})
+
+    return _write
+
+
+def _tensorboard(out: Path) -> Callable[[int, dict[str, float]], None]:
+    from torch.utils.tensorboard import SummaryWriter
+
+    writer = SummaryWriter(f"{out}.tensorboard")
+
+    def _write(step: int, values: dict[str, float]) -> None:
+        for name, value in values.items():
+            writer.add_scalar(name, value, step)
+        writer.flush()
+
+    return _write
+
+
+def _wandb(out: Path) -> Callable[[int, dict[str, float]], None]:
+    import wandb
+
+    folder = Path(f"{out}.wandb")
+    folder.mkdir(parents=True, exist_ok=True)
+    run = wandb.init(project="knotgym", name=out.name, dir=folder, mode="offline")
+    return lambda step, values: run.log(values, step=step)
+
+
+LOGS = {"tensorboard": _tensorboard, "wandb": _wandb}  # by the library's name

@@ -17,12 +17,15 @@ class TrainConfig:
         steps: optimizer steps.
         batch: examples per step.
         save_every: steps between checkpoints.
+        trials: episodes of the training's tasks that the learner plays about ten times while it
+            trains, so that `training.csv` and `curve.png` show its success rate; 0 for none.
         seed: random seed; the same seed and data give the same weights.
     """
 
     steps: PositiveInt = 3000
     batch: PositiveInt = 48
     save_every: PositiveInt = 200
+    trials: NonNegativeInt = 0
     seed: Seed = 0
 
 
@@ -60,6 +63,7 @@ class CloneConfig(TrainConfig):
     steps: PositiveInt = 4000
     batch: PositiveInt = 128
     save_every: PositiveInt = 100
+    trials: NonNegativeInt = 64
     guided: bool = False
     rate: PositiveFloat = 1e-3
     width: PositiveInt = 96

@@ -11,7 +11,7 @@ import csv
 import hashlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -29,6 +29,9 @@ from knotgym.runs import Progress, checkpoint_of
 # docs/benchmark.md are of these
 _WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of the peak at the end
 _CURVE_ROWS = 100  # of a learning curve, at most
+
+
+Log = Callable[[int, dict[str, float]], None]  # takes a step, and values by name
 
 
 class Trained(NamedTuple):
@@ -57,7 +60,8 @@ class Training(ABC):
         LOSSES: names of the two losses.
         network: as trained so far.
         step: steps done.
-        losses: two numbers for each row of the learning curve, with the step before them.
+        losses: of each row of the learning curve the step, two losses, and the success rate of the
+            episodes that the learner played then, NaN if it played none.
     """
 
     LEARNER: ClassVar[str]
@@ -70,7 +74,7 @@ class Training(ABC):
         torch.set_num_threads(1)
         self.network, self.steps, self._rate = network, steps, rate
         self._optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
-        self.step, self.losses = 0, list[tuple[float, float, float]]()
+        self.step, self.losses = 0, list[tuple[float, float, float, float]]()
 
     @abstractmethod
     def _advance(self) -> None:
@@ -105,7 +109,7 @@ class Training(ABC):
         moments = self._optimizer.state_dict()["state"]
         parts = {**self._parts(), **{f"optimizer {number}": own for number, own in moments.items()}}
         kept = {f"{part}/{k}": one for part, own in parts.items() for k, one in own.items()}
-        kept["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 3)
+        kept["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 4)
         kept["step"] = torch.tensor([self.step])
         kept = {name: own.detach().cpu().contiguous() for name, own in kept.items()}
         content = save(kept)
@@ -145,7 +149,9 @@ class Training(ABC):
             ) from error
 
 
-def fit(training: Training, place: Path, save_every: int, progress: Progress) -> Trained:
+def fit(
+    training: Training, place: Path, save_every: int, progress: Progress, log: Log | None = None
+) -> Trained:
     """Run a training to its end, continuing from its checkpoint if there is one.
 
     Args:
@@ -153,13 +159,21 @@ def fit(training: Training, place: Path, save_every: int, progress: Progress) ->
         place: where the output is made, see `checkpoint_of`.
         save_every: steps between checkpoints.
         progress: where to show it.
+        log: called for each row of the learning curve, those before a resume included.
     """
     if (path := checkpoint_of(place)).exists():
         training._restore(path)
+    logged = 0
     while training.step < training.steps:
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
+        if played := [row[3] for row in training.losses if not math.isnan(row[3])]:
+            facts["success"] = f"{100 * played[-1]:.0f} %"
         progress.stage(f"training the {training.NAME}", training.step, training.steps, facts)
         training._advance()
+        for step, *values in training.losses[logged:]:
+            if log is not None:
+                log(int(step), dict(zip((*training.LOSSES, "success"), values, strict=True)))
+        logged = len(training.losses)
         if training.step % save_every == 0 or training.step == training.steps:
             training._save(path)
     return training._ended()
@@ -168,32 +182,38 @@ def fit(training: Training, place: Path, save_every: int, progress: Progress) ->
 def draw_curve(
     out: Path, names: tuple[str, str], curve: Sequence[Iterable[float]], kept: int | None = None
 ) -> None:
-    """Write two losses to `curve.csv`, and plot them in `curve.png`.
+    """Write two losses and success rates to `training.csv`, and plot them in `curve.png`.
 
     Args:
         out: folder.
         names: of the losses.
-        curve: step and both losses, at least one row; many are averaged in groups.
+        curve: step, both losses and success rate, at least one row; many are averaged in groups.
         kept: the step whose weights are kept.
     """
     rows = np.array(curve, dtype=np.float64)
     # at most _CURVE_ROWS groups of neighbouring rows, each shown by its mean
     groups = np.array_split(rows, range(0, len(rows), -(-len(rows) // _CURVE_ROWS))[1:])
-    rows = np.array([[group[-1, 0], *group[:, 1:].mean(axis=0)] for group in groups])
-    with atomic_write(out / "curve.csv") as part, part.open("w", newline="") as file:
+    rows = np.array([[own[-1, 0], *own[:, 1:3].mean(axis=0), _mean(own[:, 3])] for own in groups])
+    with atomic_write(out / "training.csv") as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("step", *names))
+        writer.writerow(("step", *names, "success"))
         writer.writerows([int(row[0]), *row[1:].round(5).tolist()] for row in rows)
     with atomic_write(out / "curve.png") as part:
         _plot(names, rows, kept).save(part, "PNG")
 
 
+def _mean(values: Array) -> float:
+    """Return the mean of the values that are known, NaN if none is."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else math.nan
+
+
 def _plot(names: tuple[str, str], rows: Array, kept: int | None) -> Image.Image:
-    """Plot two losses against steps, with axes, ticks and a legend."""
-    width, height, left, right, top, bottom = 720, 420, 64, 696, 48, 368
+    """Plot two losses and success rates against steps, with axes, ticks and a legend."""
+    width, height, left, right, top, bottom = 720, 420, 64, 656, 48, 368
     image = Image.new("RGB", (width, height), "white")
     draw = ImageDraw.Draw(image)
-    steps, most = float(rows[-1, 0]), max(float(rows[:, 1:].max()), 1e-9)
+    steps, most = float(rows[-1, 0]), max(float(rows[:, 1:3].max()), 1e-9)
 
     def _at(step: float, loss: float) -> tuple[float, float]:
         return left + step / steps * (right - left), bottom - loss / most * (bottom - top)
@@ -211,13 +231,22 @@ def _plot(names: tuple[str, str], rows: Array, kept: int | None) -> Image.Image:
     _write("loss", left, top - 8, "mb")
     _write("optimizer step", (left + right) / 2, height - 8, "mb")
     legend = [(names[0], "#1f77b4"), (names[1], "#ff7f0e")]
+    if len(played := rows[~np.isnan(rows[:, 3])]):
+        points = [_at(step, rate * most) for step, rate in played[:, [0, 3]].tolist()]
+        draw.line(points, "#2ca02c", 2)
+        for x, y in points:
+            draw.ellipse((x - 3, y - 3, x + 3, y + 3), "#2ca02c")
+        for share in (0, 0.5, 1):  # the axis on the right
+            _write(f"{100 * share:.0f} %", right + 8, _at(0, share * most)[1], "lm")
     for column, (_, ink) in enumerate(legend, 1):
         draw.line([_at(*point) for point in rows[:, [0, column]].tolist()], ink, 2)
+    if len(played):
+        legend.append(("success", "#2ca02c"))
     if kept is not None:
         draw.line([_at(kept, 0), (_at(kept, 0)[0], top)], "#787878")
         legend.append((f"kept weights: step {kept}", "#787878"))
     for number, (name, ink) in enumerate(legend):
-        x = left + 70 + 180 * number
+        x = left + 50 + 140 * number
         draw.line([(x, top - 15), (x + 24, top - 15)], ink, 2)
         _write(name.replace("_", "-"), x + 32, top - 15, "lm")
     return image

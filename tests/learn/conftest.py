@@ -19,7 +19,7 @@ from knotgym.runs import RunOptions
 if not all(map(find_spec, ("torch", "safetensors"))):
     collect_ignore_glob = ["test_*.py"]
 READER = ReaderConfig(steps=6, batch=2, save_every=2)
-CLONE = CloneConfig(steps=4, batch=4, save_every=2, width=16, layers=1, guided=True)
+CLONE = CloneConfig(steps=4, batch=4, save_every=2, width=16, layers=1, guided=True, trials=0)
 TASK = TaskConfig(task="tie", nx=2, horizon=12, observation="state", engine="chain")
 
 
@@ -30,10 +30,12 @@ def published(root: Path, episodes: Episodes, task: TaskConfig = TASK, name: str
     return publish([episodes], task, metadata, root)
 
 
-def train(data: Sequence[Path], out: Path, config: Any, *, resume: bool = False) -> Path:
+def train(
+    data: Sequence[Path], out: Path, config: Any, *, resume: bool = False, log: Any = None
+) -> Path:
     from knotgym.learn.train_recipe import train
 
-    return train(data, out, config, RunOptions(workers=1, quiet=True, resume=resume))
+    return train(data, out, config, RunOptions(workers=1, quiet=True, resume=resume), log=log)
 
 
 def break_off(data: Sequence[Path], out: Path, config: Any) -> None:

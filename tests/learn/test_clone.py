@@ -77,6 +77,17 @@ def test_decisions_of_failed_episodes_are_judged_but_not_imitated(played: Episod
     assert not losses[~own.worked][:, :3].any() and (losses[:, 3] > 0).all()
 
 
+def test_a_learner_that_plays_while_it_trains_learns_the_same(
+    data: Path, clone: Path, tmp_path: Path
+) -> None:
+    out, logged = tmp_path / "watched", list[tuple[int, dict[str, float]]]()
+    train([data], out, replace(CLONE, trials=2), log=lambda *row: logged.append(row))
+    assert weights(out) == weights(clone)
+    curve = np.genfromtxt(out / "training.csv", delimiter=",", names=True)
+    assert set(curve["success"]) <= {0.0, 0.5, 1.0} and [step for step, _ in logged] == [2, 4]
+    assert {*logged[0][1]} == {"training", "held_out", "success"}
+
+
 def test_a_set_without_macro_actions_is_refused(played: Episodes, tmp_path: Path) -> None:
     from .conftest import published
 
@@ -91,7 +102,7 @@ def test_demonstrations_are_made_on_the_way_by_any_number_of_workers(tmp_path: P
     one, other = (train([], tmp_path / name, config) for name in ("one", "other"))
     card = json.loads((one / "policy.json").read_text())
     assert card["episodes"] == 6 and card["decisions"] >= 12
-    curve = np.genfromtxt(one / "curve.csv", delimiter=",", names=True)
+    curve = np.genfromtxt(one / "training.csv", delimiter=",", names=True)
     assert card["held_out_loss"] == pytest.approx(np.min(curve["held_out"]), abs=1e-4)
     assert card["kept_step"] in curve["step"]
     assert weights(one) == weights(other)

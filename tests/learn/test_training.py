@@ -47,9 +47,9 @@ def test_another_seed_gives_others(data: Path, learner: Path, tmp_path: Path) ->
 
 
 def test_the_curve_and_the_card_say_how_it_was_trained(learner: Path) -> None:
-    with (learner / "curve.csv").open() as file:
+    with (learner / "training.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert rows and {"step", "join", "correct"} == set(rows[0])
+    assert rows and {"step", "join", "correct", "success"} == set(rows[0])
     assert (learner / "curve.png").stat().st_size > 0
     card = json.loads((learner / "policy.json").read_text())
     assert card["episodes"] == 3 and card["config"]["steps"] == 6
