@@ -132,3 +132,49 @@ def test_every_view_is_the_same_in_environments_and_arrays(
             arrays(made, action=name, frame="canonical")
         with pytest.raises(InvalidInput, match="may be of the views pull, six"):
             multiplied(held, 2, np.random.default_rng(0))
+
+
+def test_when_a_goal_is_shown(tmp_path: Path, monkeypatch: Patch) -> None:
+    """Any diagram with as many crossings as the goal's."""
+    monkeypatch.setattr(
+        "knotgym.envs.reward.asked",
+        lambda task, visits: np.count_nonzero(visits, axis=1, keepdims=True).astype(np.int16),
+    )
+    made = collected(tmp_path, "scripted", nx=2, horizon=80)
+    own, steps = open_episodes(made).episodes
+    last = open_episodes(made).episodes.last()
+    other = (steps["visits"][last] != own["goal_visits"]).any(axis=1)
+    assert (own["success"] & other).any() and (
+        own["success"] == (steps["crossings"][last] == 2)
+    ).all()
+    held, parts = arrays(made, relabel="all"), np.split(steps["crossings"], last[:-1] + 1)
+    assert (held["rewards"] == 5.0 * held["terminals"]).all()
+    assert held["terminals"].sum() == sum(len({*one.tolist()} - {one[0]}) for one in parts)
+    env = goal_env("tie", nx=2, observation="state", engine="chain")
+    k = int(np.flatnonzero(own["success"] & other)[0])
+    seen, _ = env.reset(seed=int(own["seed"][k]))
+    for action in steps["action"][last[k] - own["length"][k] : last[k]]:
+        seen, reward, *_ = env.step(action)
+        made_again = env.compute_reward(seen["achieved_goal"], seen["desired_goal"], {})
+        assert made_again == max(reward, 0)
+    assert reward == 5
+
+
+def test_a_reward_of_the_state_before(tmp_path: Path, monkeypatch: Patch) -> None:
+    def moved(task: TaskConfig, seen: Any) -> np.ndarray:
+        width = min(seen.before.shape[1], seen.visits.shape[1])
+        return (seen.before[:, :width] != seen.visits[:, :width]).any(axis=1).astype(np.float64)
+
+    monkeypatch.setattr("knotgym.envs.reward.reward", moved)
+    made = collected(tmp_path, "expert", nx=2, horizon=30)
+    steps = open_episodes(made).episodes.steps
+    changes = (steps["visits"][1:] != steps["visits"][:-1]).any(axis=1)
+    inside = np.delete(np.arange(steps.rows), open_episodes(made).episodes.last())
+    held = arrays(made)
+    assert held["rewards"].tolist() == changes[inside].tolist() and held["rewards"].any()
+    hind = arrays(made, relabel="last")
+    assert hind["rewards"].tolist() == held["rewards"][: len(hind["rewards"])].tolist()
+    env = goal_env("tie", nx=2, observation="state", engine="chain", horizon=5)
+    seen, _ = env.reset(seed=0)
+    with pytest.raises(InvalidInput, match="reward depends on the code before a pull"):
+        env.compute_reward(seen["achieved_goal"], seen["desired_goal"], {})

@@ -51,7 +51,7 @@ class GoalBatch(EpisodeBatch):
     def observations(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """Return the observations of the episodes `ids`: arrays (n, ...)."""
         # which codes that ropes show may count as a success
-        same = (Observer.symbols(self.visits[ids]) == self._began[ids]).all(axis=1)
+        same = Situation.shown(self.task, Observer.symbols(self.visits[ids]), self._began[ids])
         fits = 2 * self.crossings[ids] <= _SYMBOLS
         counts = ~same & fits & ~self.towed[ids] & ~self.failed[ids]
         return {
@@ -64,9 +64,11 @@ class GoalBatch(EpisodeBatch):
         """Return the task's rewards of goals (..., 1 + SYMBOLS): success where equal ones count."""
         pair = np.broadcast_arrays(achieved_goal, desired_goal)
         achieved, desired = (one.reshape(-1, 1 + _SYMBOLS) for one in pair)
-        held = ((achieved == desired).all(axis=1) & (desired[:, 0] == 1)).astype(np.int64)
+        counts = (achieved[:, 0] == 1) & (desired[:, 0] == 1)
+        held = counts & Situation.shown(self.task, achieved[:, 1:], desired[:, 1:])
         # hold is 1, and no failure is paid: which step it is, and whether it failed, don't matter
-        seen = Situation(achieved[:, 1:], desired[:, 1:], held, 1, np.ones_like(held))
+        one = np.ones(len(held), dtype=np.int64)
+        seen = Situation(achieved[:, 1:], desired[:, 1:], held.astype(np.int64), 1, one)
         rewards = seen.outcome(self.task).rewards.reshape(pair[0].shape[:-1])
         return rewards if rewards.ndim else float(rewards)
 

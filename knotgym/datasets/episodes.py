@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Column, Ids, InvalidInput, Schema, Table, padded
-from knotgym.envs import TaskConfig
+from knotgym.envs import Situation, TaskConfig
 from knotgym.rope import FORCE_BINS, TowBound, quantized
 from knotgym.topology import CodeArrays, GaussCode
 
@@ -331,8 +331,10 @@ class Episodes(NamedTuple):
                 found.append((k, step, f"episode {called[k]}, step {step}: {name} differs"))
         return [text for *_, text in sorted(found)]
 
-    def codes_held(self, tow_limit: float | None) -> tuple[Ids, Ids]:
+    def codes_held(self, task: TaskConfig) -> tuple[Ids, Ids]:
         """Number the code of each state, and count for how many steps it has been shown.
+
+        Codes that a goal doesn't tell apart, see `envs.Situation.asked`, have one number.
 
         Returns:
             int64 (rows,) each: the codes, numbered from 0, but -1 where none counts: from the
@@ -341,12 +343,12 @@ class Episodes(NamedTuple):
         """
         first = self.offsets[self.episode_of()]
         beyond = np.zeros(self.steps.rows, dtype=bool)
-        if tow_limit is not None:
+        if task.tow_limit is not None:
             points = self.steps["observation"]
-            beyond = TowBound(TowBound.centres(points)[first], tow_limit).exceeded(points)
+            beyond = TowBound(TowBound.centres(points)[first], task.tow_limit).exceeded(points)
         beyond[self.last()] |= self.episodes["diverged"]
         passed = np.concatenate([[0], np.cumsum(beyond)])
-        numbers = _code_ids(self.steps["visits"])
+        numbers = _code_ids(Situation.asked(task, self.steps["visits"]))
         numbers[passed[1:] > passed[first]] = -1
         # the state of a reset isn't a step, so that the first step begins to hold a code
         row = np.arange(len(numbers))
@@ -354,16 +356,14 @@ class Episodes(NamedTuple):
         held = row - np.maximum.accumulate(np.where(begins, row, 0)) + (row > first)
         return numbers, held
 
-    def goals_reached(
-        self, hold: int = 1, tow_limit: float | None = None, relabel: str = "all"
-    ) -> tuple[Ids, Ids]:
-        """Find the steps at which an episode has shown a new code for `hold` consecutive states.
+    def goals_reached(self, task: TaskConfig, relabel: str = "all") -> tuple[Ids, Ids]:
+        """Find the steps at which an episode has shown a new code for as long as a task asks.
 
         The start's own code doesn't count, and each other code counts once, at its first such step.
 
         Args:
-            hold: consecutive states that must show the code.
-            tow_limit: the task's; states from the first one beyond it on don't count.
+            task: for how many consecutive states the code must be shown; and beyond which limit
+                on towing states don't count any more.
             relabel: "all" steps, or the "last" of each episode.
 
         Returns:
@@ -372,8 +372,8 @@ class Episodes(NamedTuple):
         if relabel not in RELABEL:
             known = " or ".join(map(repr, RELABEL))
             raise InvalidInput(f"relabel must be {known}, got {relabel!r}")
-        (ids, held), episode, offsets = self.codes_held(tow_limit), self.episode_of(), self.offsets
-        rows = np.flatnonzero((ids >= 0) & (ids != ids[offsets[episode]]) & (held >= hold))
+        (ids, held), episode, offsets = self.codes_held(task), self.episode_of(), self.offsets
+        rows = np.flatnonzero((ids >= 0) & (ids != ids[offsets[episode]]) & (held >= task.hold))
         pairs = episode[rows] * (int(ids.max(initial=0)) + 1) + ids[rows]
         first = rows[np.sort(np.unique(pairs, return_index=True)[1])]
         if relabel == "last":
@@ -389,9 +389,10 @@ class Episodes(NamedTuple):
         Returns:
             bool (rows,), for each row of steps.
         """
-        (ids, held), episode = self.codes_held(task.tow_limit), self.episode_of()
+        (ids, held), episode = self.codes_held(task), self.episode_of()
         own = self.episodes
-        shown = (self.steps["visits"] == own["goal_visits"][episode]).all(axis=1)
+        goals = own["goal_visits"][episode]
+        shown = Situation.shown(task, self.steps["visits"], goals)
         wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
         return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
 

@@ -51,7 +51,7 @@ class EpisodeBatch:
         held: int64 (count,), consecutive steps for which the goal has been shown.
         visits, signs, crossings: the Gauss codes now, see `topology.CodeArrays`.
         wanted: int16 (count, 2 width), the visits of the goals' codes.
-        shown: bool (count,), whether a rope shows its goal's code.
+        shown: bool (count,), whether a rope shows its goal.
         failed: bool (count,), whether the simulation blew up in the last step.
         towed: bool (count,), whether a rope's centre is beyond `tow_limit`.
         centre: float64 (count, 3), of each rope at reset, metres.
@@ -240,7 +240,7 @@ class EpisodeBatch:
         Returns:
             Rewards, and which episodes end; see `reward`.
         """
-        newtons = forces.astype(np.float64) * self.simulation.max_force
+        newtons, before = forces.astype(np.float64) * self.simulation.max_force, self.visits[ids]
         failed = ~self.simulation.step(beads, newtons, ids, meanwhile)
         shares = self.simulation.applied_shares[ids]
         self.failed[ids], self.beads[ids], self.applied_shares[ids] = failed, beads, shares
@@ -252,7 +252,8 @@ class EpisodeBatch:
         self.steps[ids] += 1
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
         codes, counts = (self.visits[ids], self.wanted[ids]), (self.held[ids], self.hold[ids])
-        return Situation(*codes, *counts, self.steps[ids], failed, towed).outcome(self.task)
+        seen = Situation(*codes, *counts, self.steps[ids], failed, towed, before)
+        return seen.outcome(self.task)
 
     def successes(self, ids: Ids) -> NDArray[np.bool_]:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
@@ -402,7 +403,7 @@ class EpisodeBatch:
         self._old_texts[ids] |= (codes.signs != self.signs[ids]).any(axis=1)
         self._old_texts[ids] |= (codes.visits != self.visits[ids]).any(axis=1)
         self.visits[ids], self.signs[ids], self.crossings[ids] = codes
-        self.shown[ids] = (codes.visits == self.wanted[ids]).all(axis=1)
+        self.shown[ids] = Situation.shown(self.task, codes.visits, self.wanted[ids])
 
     def _widen(self, columns: int) -> None:
         """Make room for codes of so many visits."""

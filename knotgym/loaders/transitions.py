@@ -120,8 +120,7 @@ class Transitions:
             self.episode, lengths = np.arange(episodes.episodes.rows), episodes.episodes["length"]
             self.goal_step = np.full(len(lengths), -1)
         else:
-            hold, limit = self.task.hold, self.task.tow_limit
-            self.episode, lengths = episodes.goals_reached(hold, limit, relabel)
+            self.episode, lengths = episodes.goals_reached(self.task, relabel)
             self.goal_step = lengths
         self._offsets = episodes.offsets
         first = self._offsets[self.episode]
@@ -256,13 +255,16 @@ class Transitions:
         steps, lengths = self.dataset.episodes.steps, self.goal_step
         before = Episodes.ranges(self._offsets[self.episode], lengths)
         after, goal = before + 1, np.repeat(self._offsets[self.episode] + lengths, lengths)
-        codes, held = self.dataset.episodes.codes_held(self.task.tow_limit)
+        codes, held = self.dataset.episodes.codes_held(self.task)
         shown = np.where(codes[after] == codes[goal], held[after], 0)
         count, visits = Episodes.ranges(np.ones_like(lengths), lengths), steps["visits"]
         # A segment ends at its goal: no state before is beyond the bound on towing or has failed.
         # Nor is any late, though of several datasets loaded as one the first says the horizon.
         count = np.minimum(count, self.task.horizon - 1)
-        seen = Situation(visits[after], visits[goal], shown, self.task.hold, count)
+        codes_of = {"visits": visits[after], "goal_visits": visits[goal]}
+        seen = Situation(
+            **codes_of, held=shown, hold=self.task.hold, steps=count, visits_before=visits[before]
+        )
         found = np.zeros(len(after) + len(lengths))
         rows = np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)
         found[rows] = seen.outcome(self.task).rewards
@@ -472,7 +474,7 @@ class Transitions:
     @cached_property
     def _codes_held(self) -> tuple[Ids, Ids]:
         """`codes_held` of the states of all segments."""
-        codes, held = self.dataset.episodes.codes_held(self.task.tow_limit)
+        codes, held = self.dataset.episodes.codes_held(self.task)
         return codes[self._states], held[self._states]
 
     def _stack(self, states: Ids, segments: Ids) -> Ids:

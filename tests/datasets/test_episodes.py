@@ -1,9 +1,11 @@
 """Tests of `knotgym.datasets.episodes`: tables of episodes and steps, and hindsight relabelling."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_episodes import code_rows, episodes
+from synthetic_episodes import TASK, code_rows, episodes
 
 from knotgym.datasets.episodes import Episodes, fitted, gauss_codes
 from knotgym.topology import GaussCode
@@ -69,7 +71,7 @@ def test_differences_name_episode_step_and_column() -> None:
     st.integers(1, 3),
 )
 def test_goals_are_those_found_step_by_step(shown: list[list[int]], hold: int) -> None:
-    episode, step = showing(*shown).goals_reached(hold)
+    episode, step = showing(*shown).goals_reached(replace(TASK, hold=hold))
     pairs = [(k, step) for k, one in enumerate(shown) for step in naive(one, hold)]
     assert sorted(zip(episode.tolist(), step.tolist(), strict=True)) == pairs
 
@@ -79,7 +81,7 @@ def test_states_beyond_the_tow_limit_are_no_goals() -> None:
     points = np.zeros_like(made.steps["observation"])
     points[2:] += 1
     made = made._replace(steps=made.steps.replaced(observation=points))
-    assert made.goals_reached(tow_limit=0.5)[1].tolist() == [1]
+    assert made.goals_reached(replace(TASK, tow_limit=0.5))[1].tolist() == [1]
 
 
 def test_episodes_are_the_same_if_start_goal_and_pulls_are() -> None:

@@ -83,7 +83,7 @@ def test_a_batch_is_rows_of_the_arrays_or_halves_of_them(made: Episodes, path: P
 
 
 def test_hindsight_cuts_at_every_code_that_was_reached(made: Episodes, path: Path) -> None:
-    held, (episode, step) = arrays(path, relabel="all"), made.goals_reached()
+    held, (episode, step) = arrays(path, relabel="all"), made.goals_reached(TASK)
     assert len(held["rewards"]) == step.sum()
     ends = np.cumsum(step) - 1
     assert np.flatnonzero(held["terminals"]).tolist() == ends.tolist()
