@@ -8,6 +8,7 @@ from .actions import nearest_beads as nearest_beads
 from .actions import quantized as quantized
 from .chain.chain_simulation import ChainSimulation as ChainSimulation
 from .engines import CHAIN as CHAIN
+from .engines import COMPILING as COMPILING
 from .engines import ENGINES as ENGINES
 from .engines import MUJOCO as MUJOCO
 from .engines import EngineName as EngineName

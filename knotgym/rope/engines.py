@@ -7,6 +7,8 @@ it by that.
 from __future__ import annotations
 
 import logging
+import os
+import time
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from knotgym.rope.model import Rope, RopeConfig
 
 MUJOCO, CHAIN = "mujoco", "chain"
+COMPILING = "compiling, once, about 30 s"
 
 
 class Engine(NamedTuple):
@@ -125,7 +128,25 @@ def is_compiled(engine: str) -> bool:
 
 
 def warn_of_compilation(engine: str) -> None:
-    """Log, once per process and engine, that the first run has to wait for compilation."""
-    if engine not in _warned and not is_compiled(engine):
-        _log.warning("compiling, in the first run only")
+    """Log that the first run has to wait for compilation: once for a process and its workers."""
+    if engine not in _warned and not is_compiled(engine) and _is_first(engine):
+        _log.warning(COMPILING)
     _warned.add(engine)
+
+
+def _is_first(engine: str) -> bool:
+    """Return whether no process of this group, which a command and its workers are, asked yet."""
+    from knotgym.topology import scan
+
+    group = getattr(os, "getpgrp", os.getppid)()
+    said = Path(scan.stats.cache_path).parent / f"compiling-{engine}-{group}"
+    try:
+        if said.exists() and time.time() - said.stat().st_mtime > 600:  # another group's
+            said.unlink()
+        said.parent.mkdir(parents=True, exist_ok=True)
+        said.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    except OSError:
+        pass
+    return True

@@ -30,7 +30,7 @@ from typing import Any
 
 from knotgym import drawing, quality, rendering, topology
 from knotgym.common import Counts, Failed, InvalidInput, MissingExtra, Threads, differences
-from knotgym.rope import CHAIN, MUJOCO, Rope, is_compiled, simulation
+from knotgym.rope import CHAIN, COMPILING, MUJOCO, Rope, is_compiled, simulation
 from knotgym.runs.identities import versions
 from knotgym.runs.progress import Progress
 
@@ -263,7 +263,7 @@ def compile_first(
     """
     engines = [engine] if plan is None else [*dict.fromkeys([CHAIN, engine])]
     if not all(map(is_compiled, engines)):
-        progress.stage("compiling, only on the first run")
+        progress.stage(COMPILING, silent=300)
         pool = pool or InProcess()
         # longest first; what several need is in the cache when the second comes to it
         longest, *others = engines

@@ -133,7 +133,12 @@ class Progress:
         self._printed.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def stage(
-        self, name: str, done: Counts.Done = 0, total: int = 0, facts: Mapping[str, object] = _NONE
+        self,
+        name: str,
+        done: Counts.Done = 0,
+        total: int = 0,
+        facts: Mapping[str, object] = _NONE,
+        silent: float = 0.0,
     ) -> None:
         """Set the current stage and how far it is; plain lines show stages until the first count.
 
@@ -142,11 +147,13 @@ class Progress:
             done, total: how many items are done, or what returns how many are done by now, and how
                 many there are; all take about as long.
             facts: other values to show, by name.
+            silent: seconds for which its name isn't printed again, as it says how long it takes.
         """
         with self._stage:
             if name != self._task.description:
                 if self._lines and not self._counted:
                     self._tell(name)
+                    self._told += silent
                 self._bars.reset(self._task.id, description=name, facts="")
             self._done = (done if callable(done) else lambda: done) if total else None
             self._facts = facts

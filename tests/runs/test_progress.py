@@ -15,7 +15,7 @@ from rich.console import Console
 
 from knotgym.common import Counts
 from knotgym.rope import warn_of_compilation
-from knotgym.runs.executors import compile_first, executor
+from knotgym.runs.executors import InProcess, compile_first, executor
 from knotgym.runs.progress import Progress
 from knotgym.runs.runner import Call, Recipe, compute
 
@@ -32,23 +32,31 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -
         __module__="k", __name__="k", stats=SimpleNamespace(cache_path=tmp_path)
     )  # nothing compiled there
     monkeypatch.setattr("knotgym.topology.scan", kernel)
-    stages: list[str] = []
-    monkeypatch.setattr(Progress, "stage", lambda _, name: stages.append(name))
-    compile_first(Progress(quiet=True))
-    assert stages == ["compiling, only on the first run", "starting"]
+    monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
+    written, compiled = io.StringIO(), InProcess.submit
+
+    def submit(pool: InProcess, *call: Any) -> Any:
+        time.sleep(0.3)  # longer than any line is waited for
+        return compiled(pool, *call)
+
+    monkeypatch.setattr(InProcess, "submit", submit)
+    with Progress(console=Console(file=written, width=200)) as progress:
+        compile_first(progress)
+    lines = [line[9:] for line in written.getvalue().splitlines()]
+    assert lines == ["compiling, once, about 30 s", "starting"]
 
 
 def test_a_first_environment_says_once_that_it_compiles(
     tmp_path: Path, monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    kernel = SimpleNamespace(
-        __module__="k", __name__="k", stats=SimpleNamespace(cache_path=tmp_path)
-    )
+    stats = SimpleNamespace(cache_path=tmp_path / "k")
+    kernel = SimpleNamespace(__module__="k", __name__="k", stats=stats)
     monkeypatch.setattr("knotgym.topology.scan", kernel)
     monkeypatch.setattr("knotgym.rope.engines._warned", set())
     for _ in range(2):
         warn_of_compilation("mujoco")
-    assert [one.getMessage() for one in caplog.records] == ["compiling, in the first run only"]
+        monkeypatch.setattr("knotgym.rope.engines._warned", set())  # as in a worker process
+    assert [one.getMessage() for one in caplog.records] == ["compiling, once, about 30 s"]
 
 
 def test_a_terminal_is_told_while_printed_words_go_elsewhere(monkeypatch: Patch) -> None:
