@@ -48,28 +48,10 @@ def test_a_door_names_each_thing_once_and_finds_it(name: str) -> None:
         assert getattr(package(name), public) is found
 
 
-@pytest.mark.parametrize("room", sorted(ROOMS))
-def test_a_door_says_what_the_room_is_for_and_what_to_read_first(room: str) -> None:
-    door = package(f"knotgym.{room}")
-    said = (door.__doc__ or "").partition("\n\n")[0]
-    (first,) = re.findall(r"Read `([\w/]+\.py)` first\.$", said)
-    assert (ROOT / "knotgym" / room / first).is_file()
-
-
 def test_rooms_are_entered_through_their_doors() -> None:
     """Only a room's own modules and its own tests may import from deeper than its door."""
     found = [place for path in sources() for place in round_the_door(path)]
     assert found == []
-
-
-def test_an_import_round_a_door_is_found(tmp_path: Path) -> None:
-    path = tmp_path / "script.py"
-    inside = "def f():\n    from knotgym.rope.model import Rope\nimport knotgym.states.schema\n"
-    path.write_text(inside)
-    assert round_the_door(path) == [
-        f"{path}:3: knotgym.states.schema",
-        f"{path}:2: knotgym.rope.model",
-    ]
 
 
 def sources() -> list[Path]:

@@ -34,7 +34,6 @@ from .small_job import knotgym as typed
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 ENVIRONMENT = DOCS / "environment.md"
-MOST_PAGES = 33  # of the site; what few need is in notes/
 
 Rows = list[list[str]]
 ID = "knotgym/tie-nx2/expert-v0"  # the dataset that the pages load
@@ -151,18 +150,11 @@ def test_the_blocks_that_read_pictures_run(tmp_path: Path, monkeypatch: Patch) -
                 exec(compile(block, page, "exec"), {})
 
 
-def test_no_page_that_is_read_is_longer_than_250_lines() -> None:
-    read = [page for page in PAGES if page != DOCS / "reference/commands.md"]  # is looked up
-    counts = {page_name(page): len(page.read_text(encoding="utf-8").splitlines()) for page in read}
-    assert {page: lines for page, lines in counts.items() if lines > 250} == {}
-
-
 def test_every_page_is_in_the_navigation() -> None:
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("nav:")[1].split("extra_css")[0]
     assert {*re.findall(r"[\w/-]+\.md", text)} == {
         str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")
     }
-    assert len(PAGES) - 2 <= MOST_PAGES
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
@@ -277,15 +269,3 @@ def test_what_train_and_test_share_is_as_computed(name: str) -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]
     for row in datasets.summary(datasets.locate(name))[1]["train and test"].rows:
         assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
-
-
-def test_every_extra_is_in_the_table_of_the_start_page() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert names(tables(DOCS / "index.md")["Install"]) == project["optional-dependencies"].keys()
-
-
-def test_readme_says_how_the_learner_from_pictures_was_trained_where_its_score_stands() -> None:
-    for page, heading in (("README.md", "## Which task"), ("docs/benchmark.md", "# Benchmark")):
-        text = (ROOT / page).read_text(encoding="utf-8")
-        part = " ".join(text.split(heading)[1].split("\n## ")[0].split())
-        assert "vertices and forces" in part and "94,955 labelled macro-actions" in part

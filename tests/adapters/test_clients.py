@@ -62,21 +62,6 @@ def played_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def test_the_page_has_lines_for_every_client_of_its_table() -> None:
-    table = re.findall(r"^\| \[(.+?)\]", PAGE, re.M)
-    assert table == [*NEEDS] == [*SECTIONS]
-    assert all("```python" in text for text in SECTIONS.values())
-
-
-def test_readme_gives_lines_of_that_page() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = text.split("## With your trainer")[1].split("\n## ")[0]
-    rows = dict(re.findall(r"^\| ([\w-]+)[^|]* \| (.*`.*) \|$", table, re.M))
-    assert [*rows] == [*NEEDS]
-    for client, lines in rows.items():
-        assert all(line in SECTIONS[client] for line in re.findall(r"`(.+?)`", lines)), client
-
-
 PLAYED = ("Minari", "TorchRL", "OGBench", "LeRobot")  # read datasets, those played by hand, too
 
 

@@ -3,12 +3,10 @@ are the same however it was run is in tests/runs/test_runner.py.
 """
 
 import json
-import re
 import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2
 import minari
 import mujoco
 import numpy as np
@@ -19,7 +17,6 @@ import knotgym as package
 from knotgym.cli.generate_command import _code_list
 from knotgym.common import InvalidFile, InvalidInput, sha256
 from knotgym.loaders import arrays
-from knotgym.rendering import draw_diagram
 from knotgym.rope import Rope
 from knotgym.states import States, read_states
 
@@ -64,22 +61,6 @@ def test_configuration_versions_and_the_rope_are_written_with_the_states(
     assert sorted(states.gauss_code.tolist()) == [""] * 4 + ["1+,1-"] * 2 + ["1-,1+"] * 2
     for nx in (0, 1):
         assert sorted(states.split[states.nx == nx].tolist()) == ["test"] * 2 + ["train"] * 2
-
-
-def test_the_gallery_shows_every_state_as_a_diagram(curated: Path, states: States) -> None:
-    sheet = np.asarray(cv2.imread(str(curated / "gallery.png")))[..., ::-1]
-    first = states.points[min(range(4), key=lambda row: (states.split[row] != "train", row))]
-    assert sheet.shape == (234, 8 * 204, 3)
-    assert np.array_equal(sheet[6:198, 6:198], draw_diagram(first))
-
-
-def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
-    text = (curated / "README.md").read_text()
-    assert text.startswith("---\nlicense: cc-by-4.0\n")
-    assert "| 1 | 4 | 2 | 3 | 2 / 2 |" in text and "with engine mujoco and seed 0" in text
-    assert not re.search(r"^\|.*(\{|\d\.\d{5})", text, re.M)  # nothing dumped into a cell
-    assert "# Rope states with 0, 1 crossings" in text and "## Columns of states.h5" in text
-    assert "![every state with its code](gallery.png)" in text and "```bibtex" in text
 
 
 # What can be done with it.

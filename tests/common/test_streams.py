@@ -22,16 +22,6 @@ def test_keys_are_of_one_width_and_differ_where_what_they_are_for_differs(
     assert (first == second) == (_sequence(first).entropy == _sequence(second).entropy)
 
 
-def test_counters_that_are_not_named_do_not_make_another_purpose_draw_the_same() -> None:
-    drawn = {
-        stream.generator(seed, *counters).integers(2**62)
-        for stream in Stream
-        for seed in (0, 1, 5)
-        for counters in ((), (1,), (0, 1), (0, 0, 1), (2**32,))
-    }
-    assert len(drawn) == len(Stream) * 3 * 5
-
-
 @pytest.mark.parametrize("wrong", [(-1,), (2**63,), (0, -1), (0, 1, 2, 3, 4)])
 def test_a_seed_out_of_range_is_refused_in_one_line(wrong: tuple[int, ...]) -> None:
     with pytest.raises(InvalidInput) as caught:

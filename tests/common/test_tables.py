@@ -105,14 +105,6 @@ def test_a_table_is_filled_with_values_that_say_unknown() -> None:
         Table(steps, {"a": np.arange(3)}).filled(steps)
 
 
-def test_sizes_of_columns_that_are_left_out_do_not_count() -> None:
-    schema = Schema("", (Column("a", "int64"), Column("b", "int64", ("wide",), optional=True)))
-    a = np.arange(2)
-    parts = [Table(schema, {"a": a, "b": np.zeros((2, wide), int)}) for wide in (1, 3)]
-    assert Table.joined([part.only("a") for part in parts]).rows == 4
-    assert Table.joined([parts[0], Table(schema, {"a": a})]).rows == 4
-
-
 def test_attributes_come_back(tmp_path: Path) -> None:
     given = {"name": "ä", "count": 3, "share": 0.5, "config": {"a": [1, None]}, "list": ["x"]}
     write_tables(tmp_path / "rows.h5", [], given, format="ours")

@@ -6,26 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidFile, InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.datasets.row_verification import _state_faults
 from knotgym.envs import KnotEnv
 from knotgym.states import read_states, shipped
 from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, shows
-
-
-@pytest.mark.parametrize("name", ["readable", "random-walk"])
-def test_forty_of_each_crossing_number_ship_and_seventeen_loops(name: str) -> None:
-    states = read_states(shipped(name), images=False)
-    assert Counter(states.nx.tolist()) == {0: 17, 1: 40, 2: 40, 3: 40, 4: 40}
-    for nx in range(5):
-        train, test = len(states.rows(nx, "train")), len(states.rows(nx, "test"))
-        assert abs(train - test) <= 1 and train + test == (40 if nx else 17)
-
-
-def test_another_name_of_a_set_is_refused() -> None:
-    assert shipped("readable") == shipped()
-    with pytest.raises(InvalidFile, match="there are readable, random-walk, hard-unknots"):
-        shipped("published")
 
 
 def test_four_hard_unknots_ship_twice_each_and_all_for_testing() -> None:

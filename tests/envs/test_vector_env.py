@@ -192,14 +192,6 @@ def test_render_gives_one_picture_a_rope(make: MakeVec) -> None:
     assert make("tie", render_mode=None).render() is None
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_autoreset_mode_stands_in_the_metadata(make: MakeVec, mode: str) -> None:
-    known = AutoresetMode or str
-    assert make("tie", autoreset_mode=known(mode)).metadata["autoreset_mode"] == known(mode)
-    assert make("tie", autoreset_mode=mode).metadata["autoreset_mode"] == known(mode)
-    assert KnotVectorEnv.metadata["autoreset_mode"] == known("NextStep")
-
-
 def test_gymnasium_1_0_is_enough(states_path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(gym.vector, "AutoresetMode", raising=False)
     own = runpy.run_path(str(inspect.getsourcefile(KnotVectorEnv)))  # its lines, run once more

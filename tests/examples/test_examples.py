@@ -24,8 +24,6 @@ from ..conftest import curled
 from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
-MODULES = {"pictures", "strand_loss"}  # what the scripts share
-SCRIPTS = sorted(path for path in FOLDER.rglob("*.py") if path.stem not in MODULES)
 
 
 @pytest.mark.parametrize(
@@ -77,21 +75,6 @@ def test_the_notebook_makes_a_clone_that_beats_random(tmp_path: Path, monkeypatc
     place = {"metadata": {"path": str(tmp_path)}}
     nbclient.NotebookClient(book, timeout=1800, resources=place).execute()  # asserts it
     assert (tmp_path / "clone.gif").is_file()
-
-
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_every_example_says_how_to_use_it_or_what_it_needs(script: Path, capsys: Capture) -> None:
-    usage = f"\n    python {script.relative_to(ROOT).as_posix()}"
-    assert usage in script.read_text(encoding="utf-8")
-    try:
-        with pytest.raises(SystemExit) as ended:
-            run_script(script, "--help")
-    except ModuleNotFoundError as missing:
-        pytest.skip(f"{missing.name} isn't installed")
-    if ended.value.code:
-        assert re.match(rf"{script.name} needs \w+: pip install", str(ended.value.code))
-    else:
-        assert f"usage: {script.name}" in capsys.readouterr().out
 
 
 def test_codes_are_read_by_tracing_colours(rope: Rope, tmp_path: Path, capsys: Capture) -> None:

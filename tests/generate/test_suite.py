@@ -16,7 +16,7 @@ from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.generate import suite as module
 from knotgym.generate.collection import run_facts
-from knotgym.generate.episode_configs import SPLITS, STATES, SuiteConfig
+from knotgym.generate.episode_configs import SuiteConfig
 from knotgym.generate.suite import _describe_set, make_suite
 from knotgym.runs import RunOptions
 
@@ -45,26 +45,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def card(out: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((out / "knotgym" / "suite.json").read_text())
     return found
-
-
-def test_the_whole_is_nine_setups_by_policies_splits_and_sets_of_states() -> None:
-    sets = list(SuiteConfig().sets())
-    count = 9 * len(SuiteConfig.SUITE["policies"]) * len(SPLITS) * len(STATES)
-    assert len({one.dataset_id for one in sets}) == len(sets) == count
-    for one in sets:
-        assert ("train-code" in one.dataset_id) == (one.task.split == "train-code")
-        assert (one.task.tow_limit == 0.04) == (one.task.task == "unknot")
-
-
-def test_tiers_are_six_policies_of_ten_setups_in_the_chain_engine() -> None:
-    sets = list(SuiteConfig(states=("bench",), size="10M").sets())
-    assert len({one.dataset_id for one in sets}) == len(sets) == (9 + 1) * 6
-    assert {one.task.nx for one in sets if one.task.task != "tie"} == {2, 3, 4}
-    assert all(one.task.engine == "chain" and one.steps == 10_000_000 for one in sets)
-    assert {one.form for one in sets} == {"recording"}  # as columns they wouldn't fit into memory
-    explore = next(one for one in sets if "explore" in one.dataset_id)
-    assert explore.dataset_id == "knotgym/unknot-nx2/explore-chain-bench-10M-v0"
-    assert explore.policy.policy == "scripted" and explore.task.endless
 
 
 def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path) -> None:

@@ -81,47 +81,6 @@ def test_only_what_a_model_says_at_last_is_its_answer(content: Any, text: str) -
     assert (reply.text, reply.finish) == (text, "stop")
 
 
-@pytest.mark.parametrize("field", ["reasoning_content", "reasoning"])
-def test_an_empty_answer_keeps_its_reasoning(field: str) -> None:
-    message = {"content": None, field: "so <answer></answer>"}
-    reply, server = asked(always(completion(message)))
-    assert (reply.fault, reply.text, reply.reasoning) == ("empty", "", "so <answer></answer>")
-    assert reply.retries == {"empty": 2} and len(server.requests) == 3
-
-
-def test_other_marks_of_drafts_can_be_named() -> None:
-    answer = always(completion({"content": "<plan>a</plan>b"}))
-    reply, _ = asked(answer, drafts=("<plan>...</plan>",))
-    assert (reply.text, reply.reasoning) == ("b", "a")
-    assert asked(answer)[0].text == "<plan>a</plan>b"
-    with pytest.raises(InvalidInput, match=r"<think>\.\.\.</think>"):
-        ChatConfig(model="m", drafts=("<plan>",))
-
-
-def test_further_fields_are_sent_as_given() -> None:
-    more = {"max_tokens": 7, "reasoning_effort": "low", "a": {"b": [1, None]}}
-    _, server = asked(always(WORDS), extra=more)
-    assert {name: server.requests[0][name] for name in more} == more
-    typed: dict[str, Any] = {"model": "m", "extra": json.dumps(more)}
-    assert ChatConfig(**typed).extra == more
-    for wrong, said in (
-        ("{", "JSON object"),
-        ("[1]", "extra"),
-        ('{"model": "x"}', "model"),
-        ('{"a": NaN}', "NaN"),
-    ):
-        with pytest.raises(InvalidInput, match=said):
-            ChatConfig(**{**typed, "extra": wrong})
-    with pytest.raises(InvalidInput, match="set the key only in"):
-        Chat(ChatConfig(model="m", base_url="http://127.0.0.1:1/v1", extra={"user": KEY}))
-
-
-def test_choices_may_come_in_any_order() -> None:
-    first, second = ({"index": k, "message": {"content": str(k)}} for k in (0, 1))
-    reply, _ = asked(always((200, {}, json.dumps({"choices": [second, first]}))))
-    assert reply.text == "0"
-
-
 def test_a_model_that_goes_on_refusing_has_answered_so() -> None:
     reply, _ = asked(always(REFUSAL))
     assert (reply.fault, reply.text, reply.retries) == ("refusal", "I can't", {"refusal": 2})
@@ -253,17 +212,7 @@ def test_without_a_key_the_public_server_is_not_asked(monkeypatch: pytest.Monkey
     assert reply.text == WORDS and server.keys == [""]
 
 
-def test_a_placeholder_for_a_key_is_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("OPENAI_API_KEY", "pull")
-    assert asked(always(WORDS))[0].text == WORDS
-
-
 def test_a_key_in_the_base_url_is_refused() -> None:
     with pytest.raises(InvalidInput, match="--base-url") as refused:
         Chat(ChatConfig(model="m", base_url=f"http://127.0.0.1:1/{KEY}/v1"))
     assert KEY not in str(refused.value)
-
-
-def test_the_temperature_is_sent_unless_it_is_the_server_s() -> None:
-    sent = [asked(always(WORDS), temperature=one)[1].requests[0] for one in (0.5, -1.0)]
-    assert sent[0]["temperature"] == 0.5 and "temperature" not in sent[1]

@@ -22,8 +22,6 @@ from knotgym.rope import Rope
 from knotgym.states import read_states, shipped
 from knotgym.topology import find_crossings, label
 
-from ..conftest import curled
-
 STATES = [
     (name, row) for name, count in (("readable", 12), ("hard-unknots", 2)) for row in range(count)
 ]
@@ -118,13 +116,6 @@ def test_a_frame_shows_the_pull_and_says_the_plain_loop() -> None:
     assert 60 < np.ptp(moved[:, 0]) < 100 and np.ptp(moved[:, 1]) < 40
     weak = Film.frame(loop, loop, "step 0 of 1", (0, np.array([0.0, 0.4, 0.0])))
     assert 0 < (weak != plain).any(axis=2).sum() < len(moved)
-
-
-def test_a_frame_names_its_halves_and_their_codes(monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    monkeypatch.setattr("cv2.putText", lambda frame, text, *_: said.append(text))
-    Film.frame(Rope().loop(), Rope().from_curve(curled(1)), "step 0 of 1")
-    assert said == ["step 0 of 1", "now   the plain loop", "goal  1+,1-", "now", "goal"]
 
 
 def test_a_film_says_at_its_end_whether_the_goal_was_reached() -> None:

@@ -89,11 +89,6 @@ def test_a_code_that_no_curve_shows_is_not_planar_and_named(text: str) -> None:
     assert repr(text) in str(refusal.value)
 
 
-def test_faces_need_letters() -> None:
-    with pytest.raises(InvalidInput):
-        faces(GaussCode.parse("1+,1-"))
-
-
 @given(planar)
 def test_a_planar_code_has_two_faces_more_than_crossings(code: GaussCode) -> None:
     found = faces(with_chirality(code))

@@ -150,10 +150,6 @@ def test_the_polynomials_of_a_sum_are_products() -> None:
     assert jones_polynomial(granny) == ((2, 1), (4, 2), (5, -2), (6, 1), (7, -2), (8, 1))
 
 
-def test_a_crossing_that_splits_the_diagram_is_taken_out() -> None:
-    assert simplify(GaussCode.parse("1+a,2+c,3-c,4+c,2-c,3+c,4-c,1-a")) == TREFOIL
-
-
 def test_codes_that_no_curve_shows_have_no_knot() -> None:
     virtual = GaussCode.parse("1+,2+,1-,2-")
     for question in (_is_unknot, knot_type, simplify, alexander_polynomial, jones_polynomial):

@@ -53,11 +53,6 @@ def test_a_class_is_the_same_for_every_variant_and_stands_for_itself(code: Gauss
     assert all(GaussCode(shown.visits, shown.chirality) == shown for shown in images(code))
 
 
-@given(codes, st.integers(0, 7), st.integers(0, 7))
-def test_image_i_of_image_k_is_image_i_xor_k(code: GaussCode, i: int, k: int) -> None:
-    assert images(images(code)[k])[i] == images(code)[i ^ k]
-
-
 def test_classes_part_the_codes() -> None:
     by_class = {one: {shown for shown, _ in variants(one)} for one in map(canonical, CODES)}
     assert sum(map(len, by_class.values())) == len(set(CODES)) == len(set.union(*by_class.values()))

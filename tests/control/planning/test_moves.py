@@ -5,7 +5,7 @@ import pytest
 
 from knotgym.common import InvalidFile
 from knotgym.control.planning import moves
-from knotgym.control.planning.moves import ALONG, AT, KINDS, MoveKind, Moves, PassTemplate
+from knotgym.control.planning.moves import KINDS, MoveKind, Moves, PassTemplate
 from knotgym.control.planning.sights import IMAGES, Diagram
 from knotgym.topology import GaussCode, chiralities, codes_of
 
@@ -58,13 +58,6 @@ def test_chances_are_those_of_brute_force(seed: int) -> None:
     assert max(values.values()) == 1.0 and sum(0 < value < 1 for value in values.values()) > 10
     for node, index in table.index.items():
         assert found[index] == pytest.approx(values[node], abs=1e-12)
-
-
-@pytest.mark.parametrize("kind", [AT, ALONG])
-def test_a_template_s_image_twice_is_the_template(kind: int) -> None:
-    one = PassTemplate(kind, 230, 470 if kind == AT else -14, 1)
-    assert len({one.image(k, 3) for k in range(IMAGES)}) == 4  # a reflection changes no position
-    assert all(one.image(k, 3).image(k, 3) == one for k in range(IMAGES))
 
 
 def test_a_kind_of_move_is_one_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
