@@ -1,7 +1,7 @@
 """A hook of MkDocs: the column of navigation from a window of 1,152 pixels on.
 
-Material for MkDocs shows it from 76.25 em (1,220 pixels) on and has no setting for that, so the number
-is replaced in the built site, in style sheets and scripts alike.
+Material for MkDocs shows it from 76.25 em (1,220 pixels) on and has no setting for that, so the
+number is replaced in the built site, in style sheets and scripts alike.
 """
 
 from pathlib import Path
