@@ -126,6 +126,19 @@ def test_ogbench_files_hold_every_state_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(train["actions"], first["action"])
 
 
+def test_a_file_for_stable_worldmodel_has_windows_of_states_and_actions(tmp_path: Path) -> None:
+    export(EXPERT, tmp_path / "a.h5", "worldmodel", replay)
+    one = open_episodes(EXPERT)
+    with h5py.File(tmp_path / "a.h5", swmr=True) as file:  # as its reader opens it
+        lengths, offsets = file["ep_len"][:], file["ep_offset"][:]
+        assert lengths.tolist() == (one.episodes.episodes["length"] + 1).tolist()
+        last = offsets + lengths - 1
+        assert np.isnan(file["action"][:][last]).all() and np.isnan(file["reward"][:][last]).all()
+        assert (file["pixels"][:] == one.seen("pixels", alone=True)).all()
+        assert (file["observation"][:] == one.seen("state", alone=True)).all()
+        assert np.isfinite(file["action"][:][np.setdiff1d(np.arange(last[-1]), last)]).all()
+
+
 def test_ogbench_files_appear_together(tmp_path: Path, monkeypatch: Patch) -> None:
     calls, write = [0, 1], np.savez_compressed
     monkeypatch.setattr(

@@ -84,6 +84,9 @@ EXPORTS = {
     ),
     "recording": _of_file("starts and pulls alone", partial(_write_files, whole=False)),
     "ogbench": Export("data files for OGBench's agents", f"{_PLAYED}:to_ogbench", output="beside"),
+    "worldmodel": _of_file(
+        "HDF5 that stable-worldmodel reads, pictures included", f"{_PLAYED}:to_worldmodel"
+    ),
     "minari": Export("a Minari root, ready to upload", f"{_PLAYED}:to_minari"),
     "huggingface": Export("Parquet files with a card, ready to upload", _HUB, "", extra=_PARQUET),
     "coco": _of_pictures("photos with boxes, masks and keypoints", f"{_PICTURES}:to_coco"),

@@ -1,4 +1,4 @@
-"""Export episodes to Minari and to OGBench.
+"""Export episodes to Minari, OGBench and stable-worldmodel.
 
 Minari: datasets as a root whose first level is a Hugging Face repository.
 
@@ -21,8 +21,17 @@ An episode of T actions takes T + 1 consecutive rows of each array:
     actions         float32 (6,); zeros in the last row, which has no action
     terminals       bool, true in the last row
 
-A name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the prefix "visual-" for
-pictures. Without the policy it is the id of the environment, see `adapters.OGBenchEnv`.
+stable-worldmodel: one HDF5 file, its format "hdf5". An episode of T actions takes T + 1 consecutive
+rows of each column; `ep_len` (int32) and `ep_offset` (int64) have one row an episode.
+
+    pixels          uint8 (size, size, 3), the rope without its goal
+    observation     float32 (300,), its vertices, metres
+    action          float32 (6,); NaN in the last row, which has no action
+    reward          float32; that of the action, NaN in the last row
+
+OGBench's names: a name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the
+prefix "visual-" for pictures. Without the policy it is the id of the environment, see
+`adapters.OGBenchEnv`.
 """
 
 import json
@@ -31,6 +40,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from knotgym.common import Counts, InvalidInput, atomic_write, require_output
@@ -106,9 +116,7 @@ def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
         InvalidInput: several datasets, fewer than two episodes, or neither pictures nor vertices.
         Occupied: a file exists, and `overwrite` is False.
     """
-    if len(source.episodes) > 1:
-        raise InvalidInput(f"{source.title} has several datasets; export them one by one")
-    dataset = columns_of(source.episodes[0])
+    dataset = _only(source)
     shown, count = dataset.task.observation, dataset.episodes.episodes.rows
     shows = OBSERVATIONS[shown].parts or (shown,)
     looks = [name for name in shows if OBSERVATIONS[name].ogbench is not None]
@@ -139,6 +147,42 @@ def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
     told = Counts.over(range(rows), "drawing episodes", rows)
     seen = np.concatenate([dataset.select([k]).seen(look, alone=True) for k in told])
     return {"observations": seen, "actions": steps["action"], "terminals": terminals}
+
+
+def to_worldmodel(source: Located, target: Path, _: Replay) -> str:
+    """Write a file, and return a one-line summary.
+
+    Raises:
+        InvalidInput: several datasets.
+    """
+    dataset = _only(source)
+    episodes, rows = dataset.episodes, dataset.episodes.episodes.rows
+    lengths = np.diff(episodes.offsets)
+    with h5py.File(target, "w", libver="latest") as file:  # the reader asks for SWMR
+        file["ep_len"], file["ep_offset"] = lengths.astype(np.int32), episodes.offsets[:-1]
+        for k in Counts.over(range(rows), "drawing episodes", rows):
+            one = dataset.select([k])
+            own: dict[str, Any] = {
+                "pixels": one.seen("pixels", alone=True),
+                "observation": one.seen("state", alone=True).astype(np.float32),
+            }
+            for name in ("action", "reward"):
+                own[name] = one.episodes.steps[name].astype(np.float32)
+                own[name][-1] = np.nan
+            for name, values in own.items():
+                if not k:  # a row a chunk: windows begin anywhere
+                    shape = int(lengths.sum()), *values.shape[1:]
+                    chunk = (1, *shape[1:]) if values.ndim > 2 else True
+                    file.create_dataset(name, shape, values.dtype, chunks=chunk, compression="lzf")
+                first = episodes.offsets[k]
+                file[name][first : first + len(values)] = values
+    return f"{rows} episodes, {target.stat().st_size / 1e6:.1f} MB, for stable-worldmodel"
+
+
+def _only(source: Located) -> EpisodeDataset:
+    if len(source.episodes) > 1:
+        raise InvalidInput(f"{source.title} has several datasets; export them one by one")
+    return columns_of(source.episodes[0])
 
 
 def _ogbench_name(dataset: EpisodeDataset) -> str:
