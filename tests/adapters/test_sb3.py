@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from knotgym.adapters import goal_env, sb3_vec_env
-from knotgym.common import InvalidInput
 from knotgym.envs import KnotEnv
 
 from ..envs.test_env import same as equal
@@ -88,11 +87,3 @@ def test_algorithms_train(states_path: str, algorithm: str, policy: str, observa
     assert observation != "pixels" or model.observation_space.shape == (6, 36, 36)
     mean, _ = evaluate_policy(model, envs, n_eval_episodes=2)
     assert -5 <= mean <= 5 and envs.render().shape[2] == 3
-
-
-def test_what_cannot_be_had_is_refused(states_path: str) -> None:
-    envs = sb3_vec_env("tie", 2, states=states_path, nx=1, observation="state")
-    with pytest.raises(InvalidInput, match="with goals=True"):
-        envs.env_method("compute_reward", 0, 0, {})
-    with pytest.raises(InvalidInput, match="the same for all ropes"):
-        envs.set_attr("tag", 1, indices=[0])

@@ -3,7 +3,6 @@ are the same however it was run is in tests/runs/test_runner.py.
 """
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from pytest_types import Capture, Patch
 
 import knotgym as package
 from knotgym.cli.generate_command import _code_list
-from knotgym.common import InvalidFile, InvalidInput, sha256
-from knotgym.loaders import arrays
+from knotgym.common import InvalidInput, sha256
 from knotgym.rope import Rope
 from knotgym.states import States, read_states
 
@@ -95,15 +93,6 @@ def test_minari_loads_the_trajectories_of_one_split(
         _, info = env.reset(seed=0, options={"goal": int(row)})
         assert info["goal_gauss_code"] == states.gauss_code[row]
         assert np.array_equal(env.episodes.goal_points(0), states.points[row])
-
-
-def test_loaders_read_the_demonstrations_in_a_run_s_folder(curated: Path, tmp_path: Path) -> None:
-    name = "minari/knotgym/tie-nx1/demonstrations-v0"
-    shutil.copytree(curated / name, tmp_path / name)
-    found = arrays(tmp_path, observation="state")
-    assert np.array_equal(found["actions"], arrays(curated / name)["actions"])
-    with pytest.raises(InvalidFile, match="holds several datasets; choose one of them"):
-        arrays(curated)
 
 
 # What is refused.

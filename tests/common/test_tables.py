@@ -105,12 +105,6 @@ def test_a_table_is_filled_with_values_that_say_unknown() -> None:
         Table(steps, {"a": np.arange(3)}).filled(steps)
 
 
-def test_attributes_come_back(tmp_path: Path) -> None:
-    given = {"name": "ä", "count": 3, "share": 0.5, "config": {"a": [1, None]}, "list": ["x"]}
-    write_tables(tmp_path / "rows.h5", [], given, format="ours")
-    assert read_tables(tmp_path / "rows.h5", format="ours") == ([], given)
-
-
 def test_rows_and_columns_are_taken_in_the_order_given() -> None:
     assert table().take([3, 0])["source/seed"].tolist() == [3, 0]
     assert table().take(table()["done"])["source/seed"].tolist() == [0, 2, 4]

@@ -10,12 +10,12 @@ from PIL import Image
 from rich.console import Console
 
 from knotgym.common import InvalidInput, Occupied, Stream
-from knotgym.control import PolicyConfig, make_policy, rollouts
+from knotgym.control import PolicyConfig
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import evaluation as evaluating
 from knotgym.generate.episode_configs import EvaluateConfig
-from knotgym.generate.evaluation import _report, evaluate, film
+from knotgym.generate.evaluation import _report, evaluate
 from knotgym.generate.results import show
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions, identity
@@ -153,13 +153,6 @@ def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
     evaluate(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
     with Image.open(tmp_path / "film.gif") as reel:
         assert getattr(reel, "n_frames", 1) >= 3 and np.ptp(np.asarray(reel)) > 0
-
-
-def test_a_film_shows_every_view_in_colours() -> None:
-    task = replace(CHAIN, nx=1, horizon=1, views=("top", "left"), depth=True)
-    episodes = rollouts(make_policy(PolicyConfig()), task, [0])
-    height, width, channels = film(episodes, task)[0].shape
-    assert height > 2 * 384 and (width, channels) == (2 * 384, 3)
 
 
 def test_the_command_prints_the_matrix(capsys: pytest.CaptureFixture[str]) -> None:

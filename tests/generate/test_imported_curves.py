@@ -73,10 +73,6 @@ def closed(points: Points, off: float = 0.0) -> Points:
     return np.concatenate([points, points[:1] + off])
 
 
-def with_blank_lines(text: str) -> str:
-    return text.replace("\n", "\n\n")
-
-
 # how others write one closed curve
 ONE: dict[str, Callable[[Points], str | bytes]] = {
     "commas.csv": table,
@@ -162,44 +158,31 @@ def test_a_curve_of_others_has_the_code_that_pyknotid_reads(tmp_path: Path, numb
 
 P, (A, B) = knot(0), hopf_link()
 SHADOW = np.concatenate([P[:, :2], P[:, :1] * 0], axis=1)
-BACK = np.concatenate([P[:40], P[20:21] + (0, 0, 1), P[39:]])[::-1]  # to a spike and back
 REFUSED: list[tuple[str, str | bytes, str]] = [
     ("blank.csv", table(A) + "\n" + table(B), "a link, 2 components"),
-    ("spreadsheet.csv", table(A) + ",,\n" + table(B), "a link, 2 components"),
     ("name.csv", table(numbered(A, "a") + numbered(B, "b") + numbered(A, "a")), "link, 2 .* of a"),
     ("two.vect", vect(A, B), "a link, 2 components"),
     ("two.json", json.dumps([A.tolist(), B[1:].tolist()]), "a link, 2 components"),
-    ("two.npz", npz(a=[A, B]), "a link, 2 components of a"),
     ("frames.xyz", ("100\n\n" + table(numbered(A, "C"), " ")) * 2, "a link, 2 components"),
     ("joined.csv", table(np.concatenate([A, B])), "points 100 and 101 are .* times as far apart"),
     ("shadow.csv", table(SHADOW), "after point 105 it meets itself after point 277"),
     ("spike.csv", table([*P[:9], P[8] + P[8] - P[7], P[8] * 0.5 + P[7] * 0.5, *P[9:]]), "embedded"),
     ("typed.csv", "O.5,0,1\n" + table(P), "line 1: "),
-    ("typed name.csv", "a,0.5,O,1\n" + table(numbered(P, "a")), "line 1: "),
     ("other names.csv", "z,y,x\n" + table(P), "line 1: "),
-    ("names last.csv", "x,y,z,curve\n" + table(P), "line 1: "),
     ("flat.csv", table(P[:, :2]), "line 1 has 2 values"),
     ("flat and counted.csv", table(numbered(P[:, :2])), "its first column counts the rows"),
-    ("number of others.txt", "299\n" + table(P, " "), "299 rows are announced, and there are 300"),
-    ("last numbers.csv", table([*p, k] for k, p in enumerate(P.tolist())), "is no name"),
     ("radius.npy", npy(np.hstack([P, P[:, :1]])), r"\(n, 3\) array of points, got shape"),
-    ("commas.csv", table(P).replace(",", ";").replace(".", ","), "line 1"),
     ("open.csv", table(P[:200]), "isn't closed"),
     ("few.csv", "0,0,0\n1,0,0\n1,1,0", "at least 4 different points"),
     ("none.csv", "", "holds no curves"),
     ("nan.csv", "nan,0,0\n1,0,0\n1,1,0\n0,1,0", "finite"),
-    ("huge.csv", table(P * 1e200), "finite"),
     ("walk.npy", npy(np.random.default_rng(0).normal(size=(5_000, 3))), "more than 100 crossings"),
     ("fine.npy", npy(np.random.default_rng(0).normal(size=(20_001, 3))), "at most 20000 points"),
     ("counts.vect", vect(P).replace("-300", "-299"), "aren't those announced"),
-    ("short.vect", vect(P)[:-40], "aren't those announced"),
     ("four.vect", "4" + vect(P), "begins with VECT"),
     ("text.json", "[[1,2", "can't be read"),
-    ("none.json", '{"name": "trefoil"}', "holds no curves"),
-    ("flat.json", "[1, 2, 3]", r"got shape \(3,\)"),
     ("pickled.npy", npy(np.array([{}], dtype=object)), "can't be read"),
     ("many.npy", npy(np.zeros((1_000_001, 3), np.int8)), "more than 1000000 points"),
-    ("text.npz", "x", "can't be read"),
     ("curves.csv", table([f"n{k}", 0, 0, 0] for k in range(20_001)), "20001 curves, more than"),
     ("knot.stl", "solid", "curves are read from .csv"),
     ("lines.vect", "\n" * 1_000_001, "more than 1000000 lines"),

@@ -125,17 +125,6 @@ def test_trefoil_comes_in_at_any_scale_and_stays_on_its_curve(rope: Rope, scale:
     assert (np.diff(off.argmin(axis=1)) > 0).all()
 
 
-def test_repeating_points_changes_nothing(rope: Rope) -> None:
-    for curve in (trefoil(), rope.from_curve(trefoil())):
-        for repeated in (np.vstack([curve, curve[:1]]), np.repeat(curve, 2, axis=0)):
-            assert np.array_equal(rope.from_curve(repeated), rope.from_curve(curve))
-
-
-def test_own_points_come_back_as_they_are(rope: Rope, tangled: NDArray[np.float64]) -> None:
-    for points in rope.points(tangled):
-        assert np.abs(rope.from_curve(points, max_overlap=1.0) - points).max() < 1e-6
-
-
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 @settings(max_examples=60)
 def test_every_smooth_curve_becomes_equal_beads(seed: int, modes: int) -> None:

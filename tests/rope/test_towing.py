@@ -15,7 +15,6 @@ from knotgym.rope.actions import TowBound
 from ..envs.test_env import goal_is_shown
 
 LIMIT = 0.04
-TOW = np.ones(6, dtype=np.float32)
 
 
 def bounded(states_path: str, **settings: Any) -> TaskConfig:

@@ -1,0 +1,143 @@
+"""How many small faults the tests find: mutants of a room's code, run against the room's tests.
+
+    python benchmarks/mutants.py topology states datasets loaders --count 100 --out mutants.json
+
+A mutant differs from the code in one place, drawn from the seed: a comparison turned round or by
+its edge, + for -, * for /, `and` for `or`, a condition denied, a whole number one more. It is
+killed if a test fails, or if the tests take --limit seconds. Each runs in a copy of the checkout;
+first the test file named as the module, if there is one, then the others of the room. Survivors
+are listed: each is a test that is missing, or code that means the same.
+"""
+
+import ast
+import copy
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+SWAPPED: dict[type, type] = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+}
+
+
+def swap(node: Any, name: str) -> None:
+    """Put the other operator, or the first of several, in a node's place for it."""
+    held = getattr(node, name)
+    if isinstance(held, list):
+        held[0] = SWAPPED[type(held[0])]()
+    else:
+        setattr(node, name, SWAPPED[type(held)]())
+
+
+def deny(node: Any) -> None:
+    """Deny a node's condition."""
+    node.test = ast.UnaryOp(ast.Not(), node.test)
+
+
+def count_on(node: Any) -> None:
+    """Make a number one more."""
+    node.value += 1
+
+
+def changes(node: ast.AST) -> Iterator[Callable[[Any], None]]:
+    """Yield what can be done to a node."""
+    for name in ("op", "ops"):
+        held = getattr(node, name, None)
+        first = held[0] if isinstance(held, list) else held
+        if type(first) in SWAPPED and not isinstance(node, ast.AugAssign):
+            yield lambda node, name=name: swap(node, name)
+    if isinstance(node, ast.If | ast.IfExp | ast.While):
+        yield deny
+    if isinstance(node, ast.Constant) and type(node.value) is int:
+        yield count_on
+
+
+def mutants(path: Path) -> list[tuple[int, str]]:
+    """Return the mutants of a file: line, and text of the whole file."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    found = []
+    for place, node in enumerate(ast.walk(tree)):
+        for change in changes(node):
+            other = copy.deepcopy(tree)
+            own: Any = next(one for k, one in enumerate(ast.walk(other)) if k == place)
+            change(own)
+            text = ast.unparse(ast.fix_missing_locations(other))
+            found.append((getattr(node, "lineno", 0), text))
+    return found
+
+
+def is_killed(copied: Path, module: Path, limit: float) -> bool:
+    """Return whether a test of a module's room fails in a copy of the checkout."""
+    room = Path("tests", *module.parts[1:-1])
+    own = [path for path in copied.glob("tests/**/test_*.py") if path.stem == f"test_{module.stem}"]
+    for words in ([str(one) for one in own], [str(room)]):
+        if words and (copied / words[0]).exists():
+            run = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *words]
+            try:
+                if subprocess.run(run, cwd=copied, capture_output=True, timeout=limit).returncode:
+                    return True
+            except subprocess.TimeoutExpired:
+                return True
+    return False
+
+
+def main() -> None:
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("rooms", nargs="+", help="rooms of the package, such as topology")
+    parser.add_argument("--count", type=int, default=100, help="mutants, as many of each room")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--limit", type=float, default=600, help="seconds of a run of the tests")
+    parser.add_argument("--out", type=Path, help="where to write the result as JSON")
+    asked, result = parser.parse_args(), dict[str, Any]()
+    rng = np.random.default_rng(asked.seed)
+    with tempfile.TemporaryDirectory() as name:
+        copied = Path(name, "checkout")
+        unwanted = shutil.ignore_patterns(".*", "__pycache__", "build", "knotgym-data")
+        shutil.copytree(ROOT, copied, symlinks=True, ignore=unwanted)
+        for room in asked.rooms:
+            files = sorted((ROOT / "knotgym" / room).rglob("*.py"))
+            sizes = np.array([path.stat().st_size for path in files], dtype=float)
+            survivors, killed = list[str](), 0
+            for _ in range(-(-asked.count // len(asked.rooms))):
+                found = list[tuple[int, str]]()
+                while not found:
+                    path = files[rng.choice(len(files), p=sizes / sizes.sum())]
+                    found = mutants(path)
+                line, text = found[rng.integers(len(found))]
+                module = path.relative_to(ROOT)
+                (copied / module).write_text(text, encoding="utf-8")
+                if is_killed(copied, module, asked.limit):
+                    killed += 1
+                else:
+                    survivors.append(f"{module}:{line}")
+                shutil.copy(path, copied / module)
+                print(f"{room}: {killed} killed, alive {survivors}", flush=True)
+            result[room] = {"killed": killed, "survivors": survivors}
+            if asked.out:
+                asked.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
