@@ -18,6 +18,7 @@ import sys
 import tempfile
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,7 @@ def changes(node: ast.AST) -> Iterator[Callable[[Any], None]]:
         held = getattr(node, name, None)
         first = held[0] if isinstance(held, list) else held
         if type(first) in SWAPPED and not isinstance(node, ast.AugAssign):
-            yield lambda node, name=name: swap(node, name)
+            yield partial(swap, name=name)
     if isinstance(node, ast.If | ast.IfExp | ast.While):
         yield deny
     if isinstance(node, ast.Constant) and type(node.value) is int:
