@@ -30,7 +30,7 @@ from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes, PictureRow, drawn_table, finish, parquet, shard_name
 from knotgym.envs import TaskConfig
 from knotgym.generate.generate_config import ImagesConfig
-from knotgym.quality import base_spacing, grade_of, measure
+from knotgym.quality import base_spacing, grade_of, measure_all
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
 from knotgym.rope import RopeConfig
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compute, identity, run
@@ -47,6 +47,7 @@ from knotgym.states import (
 from knotgym.topology import Crossings, Symmetry, codes_of, find_crossings, pyknotid_code
 
 _SYMMETRIES = 12  # drawn for each frame
+_CHECKED = 16  # the frames of one rope in so many are read by pyknotid, too
 _held_form = lru_cache(maxsize=2**16)(held_form)
 # columns of frames
 _FRAME: dict[str, Any] = {
@@ -434,9 +435,8 @@ def _frames_of(
         crossing would be at the base bead. `camera` float64 (m, 2), tilt and heading, degrees.
         `dropped` and `count`: why frames were dropped, and how many.
     """
-    rows = list[tuple[Any, ...]]()
-    look, sight = config.appearance, (0.0, 0.0)
-    kind, drawer = APPEARANCES[look.name], Drawer.of(look.name)
+    look, found = config.appearance, list[tuple[Any, ...]]()
+    kind, drawer, sight = APPEARANCES[look.name], Drawer.of(look.name), (0.0, 0.0)
     dropped: Counter[str] = Counter()
     for (index, pulls), points in _observed(config, ropes, start_qpos).items():
         rope = ropes[index]
@@ -444,24 +444,28 @@ def _frames_of(
             camera = Stream.IMAGE_CAMERA.generator(config.seed, rope.number, pulls)
             points, sight = drawer.seen(points, look, camera)
         crossings = find_crossings(points)
-        if crossings.nx not in wanted[rope.quota[0]]:
+        if crossings.nx in wanted[rope.quota[0]]:
+            found.append((points, rope.number, pulls, crossings, sight))
+        else:
             dropped["crossings"] += 1
-            continue
-        # the base bead is chosen below
-        quality = replace(measure(points, crossings, quick=True), base_spacing=np.inf)
+    seen = np.array([one[0] for one in found])
+    measured = measure_all(seen, [one[3] for one in found], quick=True)
+    rows = list[tuple[Any, ...]]()
+    for (points, number, pulls, crossings, sight), whole in zip(found, measured, strict=True):
+        quality = replace(whole, base_spacing=np.inf)  # the base bead is chosen below
         faults = config.limits.faults(quality, crossings.nx)
-        if not faults and pyknotid_code(points) != crossings.code:
+        if not faults and number % _CHECKED == 0 and pyknotid_code(points) != crossings.code:
             faults = ["labellers disagree"]
         if not faults and not drawer.legible(points, min(look.sides)):
             faults = ["illegible"]
         if faults:
             dropped[faults[0]] += 1
             continue
-        rng = Stream.IMAGE_CHOICE.generator(config.seed, rope.number, pulls)
+        rng = Stream.IMAGE_CHOICE.generator(config.seed, number, pulls)
         symmetries = rng.integers((2, 2, 2, len(points)), size=(_SYMMETRIES, 4))
-        codes = _shown(points, crossings, [_symmetry_of(one) for one in symmetries], config)
-        seen = points, rope.number, pulls, crossings.nx, quality.ease()
-        rows.append((*seen, symmetries, codes, sight))
+        codes = _shown(points, crossings, symmetries, config)
+        kept = points, number, pulls, crossings.nx, quality.ease()
+        rows.append((*kept, symmetries, codes, sight))
     columns = zip(_FRAME.items(), zip(*rows, strict=True) if rows else [()] * 8, strict=True)
     return {
         **{name: np.array(values, kind) for (name, kind), values in columns},
@@ -499,12 +503,17 @@ def _observed(
 
 
 def _shown(
-    points: Array, crossings: Crossings, symmetries: Sequence[Symmetry], config: ImagesConfig
+    points: Array, crossings: Crossings, symmetries: NDArray[np.int64], config: ImagesConfig
 ) -> list[str]:
-    """Return the code that a frame shows after each symmetry; "-" if its base is at a crossing."""
-    least, beads = config.limits.base_spacing or 0.0, len(points)
+    """Return the code that a frame shows after each symmetry; "-" if its base is at a crossing.
+
+    Args:
+        symmetries: int64 (n, 4), as `_frames_of` returns them.
+    """
+    reflect, switch, reverse, shift = symmetries.T
+    moved = Symmetry(reflect=reflect, switch=switch, reverse=reverse, base_shift=shift)
     # the first bead of a reversed walk lies before the vertex that it starts at
-    starts = [-one.base_shift - 1 if one.reverse else one.base_shift for one in symmetries]
-    far = base_spacing(points, crossings, [start % beads for start in starts]) >= least
-    codes = (str(crossings.code_after(one, beads)) for one in symmetries)
-    return [code if shown else "-" for code, shown in zip(codes, far, strict=True)]
+    starts = np.where(reverse, -shift - 1, shift) % len(points)
+    far = base_spacing(points, crossings, starts) >= (config.limits.base_spacing or 0.0)
+    codes = crossings.texts_after(moved, len(points))
+    return [code if shown else "-" for code, shown in zip(codes, far.tolist(), strict=True)]

@@ -1,6 +1,9 @@
 """Computation of quality measures: how readable a state's picture is, and how twisted the rope.
 
-`limits` defines the measures, their units and the limits for curated states.
+`limits` defines the measures, their units and the limits for curated states. All measures but one
+are computed in one compiled call for many ropes, from crossings that are known already. Arithmetic
+is that of C's mathematical library, without fastmath, so that a measure is the same fresh and from
+the cache, alone and beside others.
 
 After a change run `pytest tests/quality` and `knotgym dataset verify` on the sets that ship: the
 measures that they store are computed again and must be the same.
@@ -9,18 +12,24 @@ measures that they store are computed again and must be the same.
 import hashlib
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common import Array, Stream, inner, kernel
+from knotgym.common import Array, Ids, Stream, inner, kernel
 from knotgym.quality.limits import RESET_NOISE, Quality
-from knotgym.rendering import PictureConfig, project
+from knotgym.quality.regions import regions
+from knotgym.rendering import PictureConfig
 from knotgym.rope import Rope
-from knotgym.topology import Crossings, GaussCode, faces, find_crossings, label_many
+from knotgym.topology import (
+    CROSSING,
+    Crossings,
+    find_crossings,
+    label_many,
+    strand_spacing,
+    visited,
+)
 
 # Two points of the drawn rope belong to different strands if the shortest path between them along
 # the drawing is longer than this many pixels; a path may turn at crossings.
@@ -41,52 +50,40 @@ def measure(
     Args:
         points: not modified.
         crossings: crossings of the points, if already known.
-        config: picture in which to measure; the usual one of such a rope if None.
+        config: picture in which to measure, from above; the usual one of such a rope if None.
         quick: leave out excess_crossing_number, which takes half of the time.
 
     Returns:
         All measures but noise_survival, which is computed by the function of that name; NaN for
         measures left out.
     """
+    found = find_crossings(points) if crossings is None else crossings
+    rows = measure_all(np.asarray(points, dtype=np.float64)[None], [found], config, quick=quick)
+    return rows[0]
+
+
+def measure_all(
+    points: Array,
+    crossings: Sequence[Crossings],
+    config: PictureConfig | None = None,
+    *,
+    quick: bool = False,
+) -> list[Quality]:
+    """Measure configurations, float64 (n, beads, 3), metres, as `measure` does one."""
+    if not len(points):
+        return []
+    config = PictureConfig.of(points.shape[1]) if config is None else config
+    lens = config.pixels_per_metre, float(config.size), config.rope_radius
+    measured, counts = np.empty((len(points), 11)), np.array([one.nx for one in crossings])
+    visits = np.concatenate([one.visits for one in crossings])
+    table = np.concatenate([one.table for one in crossings])
     # a writable copy, because numba would compile the kernels again for a read-only array
-    p = np.array(points, dtype=np.float64, order="C")
-    crossings = find_crossings(p) if crossings is None else crossings
-    config = PictureConfig.of(len(p)) if config is None else config
-    size = float(config.size)
-    pixels = np.ascontiguousarray(project(p, config))
-    chord = np.roll(p, -1, axis=0) - p
-    unit = chord / np.linalg.norm(chord, axis=1)[:, None]
-    cosines = np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)
-    bends = np.array([*map(math.acos, cosines.tolist())])  # NumPy's rounds by processor
-    radius = config.rope_radius * config.pixels_per_metre
-    regions = _regions(pixels, 2 * radius)
-    at = crossings.position * config.pixels_per_metre
-    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
-    visits = zip(crossings.over_place, crossings.under_place, strict=True)
-    angles = np.array([_angle(p, over, under) for over, under in visits])
-    spacing = crossings.strand_spacing(pixels, WALK)
-    excess = float("nan") if quick else _average_crossing_number(p) - crossings.nx
-    clearance = 1000 * float((crossings.over_z - crossings.under_z).min(initial=np.inf))
-    return Quality(
-        crossing_angle=float(angles.min(initial=90.0)),
-        crossing_spacing=float(apart.min(initial=size)),
-        base_spacing=float(base_spacing(p, crossings, config=config)[0]),
-        strand_spacing=min(size, spacing),
-        smallest_region=float(regions.min()) if len(regions) == crossings.nx + 2 else 0.0,
-        smallest_face=float(_faces(pixels, crossings).min()),
-        margin=float(min(pixels.min(), size - pixels.max()) - radius),
-        clearance=min(clearance, 1000.0 * config.rope_radius * 4),
-        excess_crossing_number=excess,
-        total_curvature=float(bends.sum() / (2 * np.pi)),
-        writhe=float(crossings.sign.sum()),
-    )
+    _measure_rows(np.array(points, order="C"), counts, visits, table, lens, quick, measured)
+    return [Quality(*row) for row in measured.tolist()]
 
 
 def base_spacing(
-    points: Array,
-    crossings: Crossings,
-    bases: Sequence[int] = (0,),
-    config: PictureConfig | None = None,
+    points: Array, crossings: Crossings, bases: ArrayLike, config: PictureConfig | None = None
 ) -> Array:
     """Return the distance along the drawing from base beads to the nearest crossing, pixels.
 
@@ -95,23 +92,15 @@ def base_spacing(
         crossings: those of the points.
         bases: base bead k is the one between the vertices bases[k] and bases[k] + 1; a crossing on
             it gives 0.
-        config: picture in which to measure; the usual one if None.
+        config: picture in which to measure, from above; the usual one if None.
 
     Returns:
         float64 (bases,).
     """
-    config, beads = PictureConfig() if config is None else config, len(points)
-    if not crossings.nx:
-        return np.full(len(bases), float(config.size))
-    pixels, found = project(points, config), np.empty(len(bases))
-    lengths = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
-    visits = np.concatenate([crossings.over_place, crossings.under_place])
-    for row, base in enumerate(bases):
-        walked = np.cumsum(np.concatenate([[0.0], lengths[base:], lengths[:base]]))
-        at = np.interp((visits - base) % beads, np.arange(beads + 1), walked)
-        # forwards from the end of the base bead, and backwards from its start
-        found[row] = max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))
-    return np.minimum(found, config.size)
+    config = PictureConfig() if config is None else config
+    lens = config.pixels_per_metre, float(config.size), config.rope_radius
+    places, which = crossings.table.copy(), np.asarray(bases, np.int64)
+    return _base_spacings(np.array(points, order="C"), places, lens, which)
 
 
 def noise_survival(
@@ -133,11 +122,99 @@ def noise_survival(
     if rng is None:
         seed = int.from_bytes(hashlib.sha256(p.tobytes()).digest()[:7], "little")
         rng = Stream.NOISE_SURVIVAL.generator(seed)
-    varied = Rope.noised(np.repeat(p, draws, axis=0), scale, [rng] * draws)
+    varied = Rope.noised(p, scale, [rng] * draws)
     codes = label_many(np.concatenate([p, varied]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))
 
 
+@kernel
+def _measure_rows(
+    points: Array, counts: Ids, visits: Ids, table: Array, lens: Any, quick: bool, out: Array
+) -> None:
+    """Compute all measures but the last of many ropes.
+
+    Args:
+        points: float64 (n, beads, 3), metres.
+        counts: int64 (n,), crossings of each.
+        visits: int64, (2 counts[0] + 2 counts[1] + ...,), those of `Crossings`, rope by rope.
+        table: float64 (counts[0] + counts[1] + ..., 7), likewise.
+        lens: pixels per metre; side of the picture, pixels; radius of the rope, metres.
+        quick: leave out the excess crossing number.
+        out: float64 (n, 11), measures in the order of `Quality`'s fields; output.
+    """
+    scale, size, thick = lens
+    last = 0
+    for rope in range(len(points)):
+        first, last = last, last + counts[rope]
+        own, found, measured = points[rope], table[first:last], out[rope]
+        pixels = _in_picture(own, scale, size)
+        along, places, at = visited(pixels, found)
+        low, high = size, 0.0
+        for i in range(len(pixels)):
+            for axis in range(2):
+                low, high = min(low, pixels[i, axis]), max(high, pixels[i, axis])
+        angle, apart, clear, writhe = 90.0, size, 4 * thick, 0.0
+        for k in range(len(found)):
+            one = found[k]
+            angle = min(angle, _angle(own, one[CROSSING.over_place], one[CROSSING.under_place]))
+            clear = min(clear, one[CROSSING.over_z] - one[CROSSING.under_z])
+            writhe += one[CROSSING.sign]
+            for j in range(k):
+                x = scale * one[CROSSING.x] - scale * found[j, CROSSING.x]
+                y = scale * one[CROSSING.y] - scale * found[j, CROSSING.y]
+                apart = min(apart, np.sqrt(x * x + y * y))
+        measured[0], measured[1] = angle, apart
+        measured[2] = min(size, _base_spacing(along, places, at, 0))
+        measured[3] = min(size, strand_spacing(pixels, along, at, WALK))
+        count, least = regions(pixels, 2 * scale * thick)
+        measured[4] = least if count == len(found) + 2 else 0.0
+        measured[5] = _smallest_face(pixels, visits[2 * first : 2 * last], places, found)
+        measured[6] = min(low, size - high) - scale * thick
+        measured[7] = 1000 * clear
+        measured[8] = np.nan if quick else _average_crossing_number(own) - len(found)
+        measured[9], measured[10] = _total_curvature(own), writhe
+
+
+@kernel
+def _base_spacings(points: Array, table: Array, lens: Any, bases: Ids) -> Array:
+    along, places, at = visited(_in_picture(points, lens[0], lens[1]), table)
+    found = np.empty(len(bases))
+    for row in range(len(bases)):
+        found[row] = min(lens[1], _base_spacing(along, places, at, bases[row]))
+    return found
+
+
+@inner
+def _in_picture(points: Array, scale: float, size: float) -> Array:
+    """Project a rope: float64 (beads, 2), x right and y down, pixels; as `project` does."""
+    beads, x, y = len(points), 0.0, 0.0
+    for i in range(beads):
+        x, y = x + points[i, 0], y + points[i, 1]
+    x, y, pixels = x / beads, y / beads, np.empty((beads, 2))
+    for i in range(beads):
+        pixels[i, 0] = 0.5 * size + scale * (points[i, 0] - x)
+        pixels[i, 1] = 0.5 * size - scale * (points[i, 1] - y)
+    return pixels
+
+
+@inner
+def _base_spacing(along: Array, places: Array, at: Array, base: int) -> float:
+    """Return the way along the drawing from a base bead to the nearest visit; 0 if that is on it.
+
+    The arrays are those of `visited`.
+    """
+    beads, least = len(along) - 1, np.inf
+    for k in range(len(places)):
+        if 0.0 <= (places[k] - base) % beads <= 1.0:
+            return 0.0
+        # forwards from the end of the base bead, and backwards from its start
+        ahead, behind = at[k] - along[base + 1], along[base] - at[k]
+        least = min(least, ahead + along[beads] * (ahead < 0))
+        least = min(least, behind + along[beads] * (behind < 0))
+    return least
+
+
+@inner
 def _angle(points: Array, over: float, under: float) -> float:
     """Return the angle in the picture between two crossing strands, degrees in [0, 90].
 
@@ -145,109 +222,127 @@ def _angle(points: Array, over: float, under: float) -> float:
         points: float64 (beads, 3), metres.
         over, under: positions of the two strands along the rope, beads.
     """
-    beads = len(points)
-
-    def _at(visit: float) -> Array:
-        bead = int(np.floor(visit))
-        here, after = points[bead % beads, :2], points[(bead + 1) % beads, :2]
-        return np.asarray(here + (visit - bead) * (after - here))
-
     # directions over two beads, because a single bead's direction jumps at joints
-    a, b = (_at(visit + 1) - _at(visit - 1) for visit in (over, under))
-    # written out, because the last bit of `a @ b` depends on the processor
-    cross, dot = a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1]
-    return math.degrees(math.atan2(abs(cross), abs(dot)))  # NumPy's rounds by processor
+    ax, ay = _at(points, over + 1)
+    x, y = _at(points, over - 1)
+    ax, ay = ax - x, ay - y
+    bx, by = _at(points, under + 1)
+    x, y = _at(points, under - 1)
+    bx, by = bx - x, by - y
+    return math.degrees(math.atan2(abs(ax * by - ay * bx), abs(ax * bx + ay * by)))
 
 
-def _faces(pixels: Array, crossings: Crossings) -> Array:
-    """Return the areas of all faces of the curve, the outer one included, square pixels."""
+@inner
+def _at(points: Array, place: float) -> tuple[float, float]:
+    """Return x and y of a place along the rope."""
+    bead = int(np.floor(place))
+    part, i, j = place - bead, bead % len(points), (bead + 1) % len(points)
+    x = points[i, 0] + part * (points[j, 0] - points[i, 0])
+    return x, points[i, 1] + part * (points[j, 1] - points[i, 1])
+
+
+@inner
+def _total_curvature(points: Array) -> float:
+    """Return the total turning of a rope's direction, full turns."""
+    beads, total = len(points), 0.0
+    a, b = points[beads - 1], points[0]
+    x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    size = np.sqrt(x * x + y * y + z * z)
+    for i in range(beads):
+        a, b = points[i], points[(i + 1) % beads]
+        u, v, w = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        length = np.sqrt(u * u + v * v + w * w)
+        cosine = (x / size) * (u / length) + (y / size) * (v / length) + (z / size) * (w / length)
+        total += math.acos(min(1.0, max(-1.0, cosine)))
+        x, y, z, size = u, v, w, length
+    return total / (2 * math.pi)
+
+
+@inner
+def _smallest_face(pixels: Array, visits: Ids, places: Array, table: Array) -> float:
+    """Return the smallest area of a face of the curve, the outer one included, square pixels."""
     # Shoelace formula: a face's area is half the sum of p x dp round its boundary. The sum is taken
     # once along the whole curve, and cut at the visits into the edges between them; inside a bead
     # it grows linearly.
-    after = np.roll(pixels, -1, axis=0)
-    swept = pixels[:, 0] * after[:, 1] - pixels[:, 1] * after[:, 0]
-    until = np.concatenate([[0.0], np.cumsum(swept)])
-    if not crossings.nx:
-        return np.full(2, abs(until[-1]) / 2)
-    visits = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
-    bead = np.minimum(visits.astype(np.int64), len(pixels) - 1)
-    at = until[bead] + (visits - bead) * swept[bead]
-    edges = np.append(at[1:], at[0] + until[-1]) - at
-    return np.asarray(np.abs(_borders(crossings.code) @ edges) / 2)
+    beads, count = len(pixels), len(visits)
+    until, at, position = np.empty(beads + 1), np.empty(count), np.empty((count, 2), np.int64)
+    until[0] = 0.0
+    for i in range(beads):
+        j = (i + 1) % beads
+        swept = pixels[i, 0] * pixels[j, 1] - pixels[i, 1] * pixels[j, 0]
+        until[i + 1] = until[i] + swept
+    if not count:
+        return abs(until[beads]) / 2
+    for k in range(count):
+        label, under = abs(visits[k]) - 1, int(visits[k] < 0)
+        place = places[2 * label + under]
+        bead = min(int(place), beads - 1)
+        at[k] = until[bead] + (place - bead) * (until[bead + 1] - until[bead])
+        position[label, under] = k
+    # dart 2 k is edge k, from visit k to the next, walked forwards; dart 2 k + 1 is walked back
+    onwards = np.empty(2 * count, np.int64)
+    for label in range(len(table)):
+        for under in range(2):
+            here, there = position[label, under], position[label, 1 - under]
+            # of a positive crossing the lower strand leads to the left, as seen along the upper one
+            left = (table[label, CROSSING.sign] > 0) != (under == 1)
+            outwards, back = 2 * there, 2 * ((there - 1) % count) + 1
+            # a left turn, arriving forwards and arriving backwards
+            onwards[2 * ((here - 1) % count)] = outwards if left else back
+            onwards[2 * here + 1] = back if left else outwards
+    smallest = np.inf
+    for first in range(2 * count):
+        dart, area = first, 0.0
+        while onwards[dart] >= 0:
+            k = dart // 2
+            swept = at[k + 1] - at[k] if k + 1 < count else at[0] + until[beads] - at[k]
+            area += -swept if dart % 2 else swept
+            onwards[dart], dart = -1, onwards[dart]
+            if dart == first:
+                smallest = min(smallest, abs(area) / 2)
+    return smallest
 
 
-@lru_cache(maxsize=10_000)
-def _borders(code: GaussCode) -> Array:
-    """Return the incidence of edges and faces of a code's diagram.
-
-    Returns:
-        float64 (nx + 2, 2 nx): 1 where the face is to the left of the edge, -1 where it is to the
-        right, 0 otherwise (or if both).
-    """
-    boundaries = faces(code)
-    incidence = np.zeros((len(boundaries), 2 * code.nx))
-    for row, darts in enumerate(boundaries):
-        for dart in darts:
-            incidence[row, dart // 2] += -1 if dart % 2 else 1
-    return incidence
-
-
-def _regions(pixels: Array, width: float) -> Array:
-    """Return the areas of the background's connected regions, square pixels.
-
-    The rope is drawn as a closed band of the given width, pixels, with `fine` dots to a pixel.
-    """
-    fine = 3
-    # a border of 4 pixels keeps the outside connected
-    low = np.floor(pixels.min(axis=0)) - 4
-    high = np.ceil(pixels.max(axis=0)) + 4 - low
-    canvas = np.ones((int(high[1] * fine), int(high[0] * fine)), dtype=np.uint8)
-    corners = np.round((pixels - low) * fine * 16).astype(np.int32)  # 4 fractional bits
-    # Background is 8-connected, so that a line of one dot would leak diagonally; two dots don't.
-    cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)
-    label = cv2.connectedComponentsWithStatsWithAlgorithm
-    _, _, stats, _ = label(canvas, 8, cv2.CV_16U, cv2.CCL_BBDT)
-    return np.asarray(stats[1:, cv2.CC_STAT_AREA] / fine**2)
-
-
-@kernel
+@inner
 def _average_crossing_number(points: Array) -> float:
     """Return the number of crossings averaged over all directions of view.
 
     Source: Banchoff's solid angles, in the form of Klenin and Langowski, 2000 (method 1a).
     """
     # Two segments cross in the picture for directions in a solid angle W and its opposite, which
-    # together are 2 W / (4 pi) of the sphere. Neighbours never cross.
-    beads = len(points)
-    total = 0.0
+    # together are 2 W / (4 pi) of the sphere. Neighbours never cross. The directions from ab to cd
+    # fill a spherical quadrilateral with the corners c - a, d - a, d - b, c - b; its area is the
+    # sum of the arcsines of the products of successive normals of its sides (the angles less
+    # pi / 2 each). A side's normal is that of the plane through a vertex and an edge, or opposite.
+    beads, total = len(points), 0.0
+    normals = np.empty((beads, beads, 3))
     for i in range(beads):
-        a, b = points[i], points[(i + 1) % beads]
+        for j in range(beads):
+            _put_normal(points, i, j, normals[i, j])
+    for i in range(beads):
+        b = (i + 1) % beads
         for j in range(i + 2, beads if i > 0 else beads - 1):
-            c, d = points[j], points[(j + 1) % beads]
-            total += _solid_angle(a, b, c, d)
-    return total / (2 * np.pi)
+            d = (j + 1) % beads
+            n0, n1, n2, n3 = normals[i, j], normals[d, i], normals[b, j], normals[j, i]
+            angle = _arcsine(n0, n1) - _arcsine(n1, n2) + _arcsine(n2, n3) - _arcsine(n3, n0)
+            total += abs(angle)
+    return total / (2 * math.pi)
 
 
 @inner
-def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
-    """Return the solid angle of directions in which segments ab and cd appear to cross."""
-    # The directions from ab to cd fill a spherical quadrilateral with the corners c - a, d - a,
-    # d - b, c - b; its sides have the normals n0 to n3, and its area is the sum of the arcsines of
-    # the products of successive normals (the angles less pi / 2 each).
-    n0, n1 = _normal(c - a, d - a), _normal(d - a, d - b)
-    n2, n3 = _normal(d - b, c - b), _normal(c - b, c - a)
-    return abs(_arcsine(n0, n1) + _arcsine(n1, n2) + _arcsine(n2, n3) + _arcsine(n3, n0))
-
-
-@inner
-def _normal(a: Array, b: Array) -> tuple[float, float, float]:
-    """Return the unit vector along a x b, or zeros if a and b are parallel."""
-    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def _put_normal(points: Array, vertex: int, edge: int, out: Array) -> None:
+    """Put the unit normal of a vertex and an edge, or zeros if they are on one line."""
+    p, q, r = points[vertex], points[edge], points[(edge + 1) % len(points)]
+    a, b, c = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    u, v, w = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+    x, y, z = b * w - c * v, c * u - a * w, a * v - b * u
     size = np.sqrt(x * x + y * y + z * z)
     # below `least` the direction is rounding error; collinear points must add nothing
-    aa, bb = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
-    least = 1e-12 * np.sqrt(aa * bb)
-    return (x / size, y / size, z / size) if size > least else (0.0, 0.0, 0.0)
+    least = 1e-12 * np.sqrt((a * a + b * b + c * c) * (u * u + v * v + w * w))
+    if size > least:
+        out[0], out[1], out[2] = x / size, y / size, z / size
+    else:
+        out[0] = out[1] = out[2] = 0.0
 
 
 @inner

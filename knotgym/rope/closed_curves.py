@@ -349,38 +349,56 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     The smallest correction of the bead directions then closes the rope (`_close_loops`).
 
     Args:
-        points: float64 (n, beads, 3), metres; not modified.
+        points: float64 (n, beads, 3), metres, or (1, beads, 3) for n times the same rope.
         scale: scale of the uniform noise, radians and metres.
         rngs: one for each rope; always 3 * beads + 6 draws are taken from it.
 
     Returns:
         float64 (n, beads, 3), metres, with equal chords and exactly closed.
     """
-    p = np.asarray(points, dtype=np.float64)
-    beads = p.shape[1]
+    beads = np.shape(points)[1]
     # one call draws the same numbers as one for the joints, one for the turn and one for the shift
     drawn = np.array([rng.uniform(-scale, scale, (beads + 2, 3)) for rng in rngs])
-    joint, turn, shift = drawn[:, :beads], drawn[:, beads, None], drawn[:, beads + 1, None]
-    chord = np.roll(p, -1, axis=1) - p
-    lengths = np.linalg.norm(chord, axis=2, keepdims=True)
+    # x, y and z apart, (3, n, beads): NumPy is slow to sum over short axes
+    p, drawn = _apart(points), _apart(drawn)
+    joint, turn, shift = drawn[..., :beads], drawn[..., beads, None], drawn[..., beads + 1, None]
+    chord = np.roll(p, -1, axis=2) - p
+    lengths = _norm(chord)
     # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as if they
     # commuted, which holds to first order in the small scale.
-    turns = np.cumsum(joint, axis=1)
+    turns = np.cumsum(joint, axis=2)
     # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
-    turns -= ((np.arange(beads) + 1) / beads)[:, None] * turns[:, -1:]
+    turns -= (np.arange(beads) + 1) / beads * turns[..., -1:]
     # The mean rotation is the whole rope's; take it out, so that `turn` alone decides it.
-    turns += turn - turns.mean(axis=1, keepdims=True)
-    along = np.ascontiguousarray(_rotate(chord / lengths, turns))
+    turns += turn - _mean(turns)
+    along = np.ascontiguousarray(_rotate(chord / lengths, turns).transpose(1, 2, 0))
     _close_loops(along)
-    moved = np.zeros_like(p)
-    np.cumsum(along[:, :-1], axis=1, out=moved[:, 1:])
+    moved = np.zeros_like(turns)
+    np.cumsum(_apart(along)[..., :-1], axis=2, out=moved[..., 1:])
     moved *= np.median(lengths, axis=1, keepdims=True)
-    return moved - moved.mean(axis=1, keepdims=True) + p.mean(axis=1, keepdims=True) + shift
+    return np.ascontiguousarray((moved - _mean(moved) + _mean(p) + shift).transpose(1, 2, 0))
+
+
+def _apart(points: ArrayLike) -> Array:
+    """Return x, y and z of points (n, m, 3) as a contiguous array (3, n, m)."""
+    return np.ascontiguousarray(np.asarray(points, dtype=np.float64).transpose(2, 0, 1))
+
+
+def _mean(values: Array) -> Array:
+    """Return the mean over the last axis, which is kept; summed one by one, as over any other."""
+    return np.cumsum(values, axis=-1)[..., -1:] / values.shape[-1]
+
+
+def _norm(vectors: Array) -> Array:
+    x, y, z = vectors
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def _rotate(vectors: Array, by: Array) -> Array:
-    """Rotate vectors (..., 3) by rotation vectors (..., 3), radians (Rodrigues' formula)."""
-    angle = np.linalg.norm(by, axis=-1, keepdims=True)
+    """Rotate vectors (3, ...) by rotation vectors (3, ...), radians (Rodrigues' formula)."""
+    angle = _norm(by)
     axis = by / np.maximum(angle, 1e-100)
-    along = axis * (axis * vectors).sum(axis=-1, keepdims=True)
-    return along + (vectors - along) * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle)
+    (x, y, z), (u, v, w) = axis, vectors
+    along = axis * (x * u + y * v + z * w)
+    across = np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
+    return along + (vectors - along) * np.cos(angle) + across * np.sin(angle)

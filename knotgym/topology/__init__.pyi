@@ -7,6 +7,8 @@ from .crossings import find_ropes_crossings as find_ropes_crossings
 from .crossings import label as label
 from .crossings import label_many as label_many
 from .crossings import same_spot as same_spot
+from .crossings import strand_spacing as strand_spacing
+from .crossings import visited as visited
 from .diagrams import chiralities as chiralities
 from .diagrams import faces as faces
 from .diagrams import uniform_code as uniform_code

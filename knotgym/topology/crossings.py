@@ -26,7 +26,7 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Array, Ids, InvalidInput, Threads, kernel
+from knotgym.common import Array, Ids, InvalidInput, Threads, inner, kernel
 from knotgym.topology.crossing_kernel import (
     CROSSING,
     SAME,
@@ -47,68 +47,86 @@ class Crossings:
     """The n crossings of one rope, in order of first visit; the arrays are read-only.
 
     Attributes:
-        over_place, under_place: float64 (n,), fractional bead index of the upper and the lower
-            strand, in [0, beads].
-        position: float64 (n, 2), x and y of the crossing, metres.
-        over_z, under_z: float64 (n,), height of the upper and the lower strand, metres.
-        sign: int8 (n,), +1 if (d_over x d_under) points up, d being the direction of walking.
+        visits: int64 (2 n,), +label over, -label under, in the order of the walk.
+        table: float64 (n, 7), one row per crossing; see `crossing_kernel.CROSSING`.
         code: the Gauss code, with chirality.
     """
 
-    over_place: Array
-    under_place: Array
-    position: Array
-    over_z: Array
-    under_z: Array
-    sign: NDArray[np.int8]
+    visits: Ids
+    table: Array
     code: GaussCode
 
     @property
     def nx(self) -> int:
         """The number of crossings."""
-        return len(self.sign)
+        return len(self.table)
+
+    @property
+    def over_place(self) -> Array:
+        """Fractional bead index of the upper strands, float64 (n,), in [0, beads]."""
+        return self.table[:, CROSSING.over_place]
+
+    @property
+    def under_place(self) -> Array:
+        """Fractional bead index of the lower strands, float64 (n,), in [0, beads]."""
+        return self.table[:, CROSSING.under_place]
+
+    @property
+    def over_z(self) -> Array:
+        """Heights of the upper strands, float64 (n,), metres."""
+        return self.table[:, CROSSING.over_z]
+
+    @property
+    def under_z(self) -> Array:
+        """Heights of the lower strands, float64 (n,), metres."""
+        return self.table[:, CROSSING.under_z]
+
+    @property
+    def position(self) -> Array:
+        """Where they are, x and y, float64 (n, 2), metres."""
+        return self.table[:, CROSSING.x : CROSSING.y + 1]
+
+    @property
+    def sign(self) -> NDArray[np.int8]:
+        """+1 if (d_over x d_under) points up, d being the direction of walking, else -1: (n,)."""
+        return self.table[:, CROSSING.sign].astype(np.int8)
 
     @property
     def over_points(self) -> Array:
         """Where the upper strands pass, float64 (n, 3), metres."""
         return np.column_stack([self.position, self.over_z])
 
-    def code_after(self, symmetry: Symmetry, beads: int) -> GaussCode:
-        """Return the code of the rope, of so many beads, that one symmetry makes of this one."""
-        code = self.code.reflected() if symmetry.reflect else self.code
-        code = code.switched() if symmetry.switch else code
-        visits, start = np.concatenate([self.over_place, self.under_place]), symmetry.base_shift
-        if symmetry.reverse:
-            # from the old vertex -start backwards; what lies beyond it comes last
-            return code.reversed().rebased(int((visits > (-start % beads or beads)).sum()))
-        return code.rebased(int((visits < start % beads).sum()))
+    def texts_after(self, symmetries: Symmetry, beads: int) -> list[str]:
+        """Write the codes of the ropes, of so many beads, that symmetries make of this one.
+
+        Args:
+            symmetries: their fields are arrays (n,).
+        """
+        places = np.sort(self.table[:, : CROSSING.under_place + 1], axis=None)
+        start = symmetries.base_shift % beads
+        # A reversed walk goes from the old vertex -start backwards; what lies beyond comes last.
+        back = (-symmetries.base_shift) % beads
+        beyond = len(places) - np.searchsorted(places, np.where(back == 0, beads, back), "right")
+        passed = np.where(symmetries.reverse, beyond, np.searchsorted(places, start))
+        each = np.column_stack([symmetries.switch, symmetries.reverse, passed]).tolist()
+        return [_text_after(self.code.plain, *one) for one in each]
 
     def strand_spacing(self, pixels: Array, walk: float) -> float:
         """Return the smallest distance in the picture, pixels, of vertices on different strands.
 
-        Two vertices are on different strands if every path between them along the drawing,
-        straight on or turning at crossings, is longer than `walk` pixels. Near a crossing the
-        strands that cross are connected by a short path, and don't count.
-
         Args:
             pixels: float64 (beads, 2), contiguous; the vertices in a picture from above.
-            walk: pixels.
+            walk: pixels, see the function of that name.
         """
-        length = np.sqrt(((np.roll(pixels, -1, axis=0) - pixels) ** 2).sum(axis=1))
-        along = np.append(0.0, np.cumsum(length))  # arc length at each vertex, and in total
-        # visits 2k and 2k + 1 belong to crossing k
-        places = np.stack([self.over_place, self.under_place], axis=1).ravel()
-        at = np.interp(places, np.arange(len(along)), along)
-        # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
-        # point of the picture, at distance 0.
-        visits, between = np.arange(len(at)), _round(at[:, None] - at, along[-1])
-        between[visits, visits ^ 1] = 0.0
-        # after round m, paths that turn at no visit beyond m are right
-        for m in visits:
-            between = np.minimum(between, between[:, m, None] + between[m])
-        straight = _round(along[:-1, None] - at, along[-1])
-        turning = (straight[:, :, None] + between).min(axis=1, initial=np.inf)
-        return _nearest(pixels, along, straight, turning, walk)
+        along, _, at = visited(pixels, self.table.copy())  # numba compiles again for read-only ones
+        return float(strand_spacing(pixels, along, at, walk))
+
+
+@lru_cache(maxsize=2**14)
+def _text_after(code: GaussCode, switch: bool, reverse: bool, passed: int) -> str:
+    # a reflection changes letters alone
+    code = code.switched() if switch else code
+    return str((code.reversed() if reverse else code).rebased(passed))
 
 
 def find_crossings(points: ArrayLike) -> Crossings:
@@ -122,8 +140,9 @@ def find_crossings(points: ArrayLike) -> Crossings:
     """
     rope = _checked(points, 2)
     visits, table, _ = _scan(rope, (np.array([len(rope)]), np.array([True])))
-    arrays = _arrays(table)
-    return Crossings(*arrays, _gauss_code(visits, arrays[-1]))
+    visits.setflags(write=False)
+    table.setflags(write=False)
+    return Crossings(visits, table, _gauss_code(visits, table[:, CROSSING.sign]))
 
 
 class RopesCrossings(NamedTuple):
@@ -388,28 +407,53 @@ def _gauss_code(visits: Ids, signs: NDArray[Any]) -> GaussCode:
     return GaussCode.trusted(tuple(visits.tolist()), GaussCode.letters_of(signs.tolist()))
 
 
-def _round(gap: Array, total: float) -> Array:
-    """Return the shorter of the two ways round a closed curve."""
-    return np.minimum(np.abs(gap), total - np.abs(gap))
+@kernel
+def visited(pixels: Array, table: Array) -> tuple[Array, Array, Array]:
+    """Find where a rope visits its crossings.
+
+    Args:
+        pixels: float64 (beads, 2), contiguous; the vertices in a picture from above.
+        table: that of `Crossings`.
+
+    Returns:
+        along: float64 (beads + 1,), arc length of the drawing at each vertex, and in total.
+        places: float64 (2 n,), along the rope; visits 2 k and 2 k + 1 belong to crossing k.
+        at: float64 (2 n,), the same as arc lengths.
+    """
+    beads = len(pixels)
+    along, places, at = np.empty(beads + 1), np.empty(2 * len(table)), np.empty(2 * len(table))
+    along[0] = 0.0
+    for i in range(beads):
+        j = i + 1 if i + 1 < beads else 0
+        dx, dy = pixels[j, 0] - pixels[i, 0], pixels[j, 1] - pixels[i, 1]
+        along[i + 1] = along[i] + np.sqrt(dx * dx + dy * dy)
+    for k in range(len(places)):
+        places[k] = table[k // 2, CROSSING.under_place if k % 2 else CROSSING.over_place]
+        bead = min(int(places[k]), beads - 1)
+        at[k] = along[bead] + (places[k] - bead) * (along[bead + 1] - along[bead])
+    return along, places, at
 
 
 @kernel
-def _nearest(pixels: Array, along: Array, straight: Array, turning: Array, walk: float) -> float:
-    """Find the nearest vertices that no path as short as `walk` joins; return their distance.
+def strand_spacing(pixels: Array, along: Array, at: Array, walk: float) -> float:
+    """Return the smallest distance in the picture, pixels, of vertices on different strands.
+
+    Two vertices are on different strands if every path between them along the drawing, straight on
+    or turning at crossings, is longer than `walk` pixels. Near a crossing the strands that cross
+    are connected by a short path, and don't count.
 
     Args:
-        pixels: float64 (beads, 2).
-        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
-        straight, turning: float64 (beads, visits), from vertices to visits along the drawing:
-            straight along the rope, and with turns at crossings.
+        pixels: float64 (beads, 2), contiguous; the vertices in a picture from above.
+        along, at: as `visited` returns them.
         walk: pixels.
     """
-    nearest = np.inf
+    beads, visits, total = len(pixels), len(at), along[-1]
+    between, nearest, turning = _paths(at, total), np.inf, np.empty(visits)
     # from cheap to expensive: along the rope, in the picture, then through any crossing
-    for i in range(len(pixels)):
-        for j in range(i + 1, len(pixels)):
-            gap = along[j] - along[i]
-            gap = min(gap, along[-1] - gap)
+    for i in range(beads):
+        known = False
+        for j in range(i + 1, beads):
+            gap = _shorter(along[j] - along[i], total)
             if gap <= walk:
                 continue
             dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
@@ -418,8 +462,37 @@ def _nearest(pixels: Array, along: Array, straight: Array, turning: Array, walk:
                 continue
             # a path that turns at crossings reaches j straight from the last of them, so those
             # with turns are needed from i alone
-            for visit in range(straight.shape[1]):
-                gap = min(gap, turning[i, visit] + straight[j, visit])
+            for b in range(visits if not known else 0):
+                turning[b] = np.inf
+                for a in range(visits):
+                    straight = _shorter(along[i] - at[a], total)
+                    turning[b] = min(turning[b], straight + between[a, b])
+            known = True
+            for b in range(visits):
+                gap = min(gap, turning[b] + _shorter(along[j] - at[b], total))
             if gap > walk:
                 nearest = apart
     return nearest
+
+
+@inner
+def _paths(at: Array, total: float) -> Array:
+    """Return the shortest paths between visits at arc lengths `at` (Floyd-Warshall)."""
+    visits = len(at)
+    between = np.empty((visits, visits))
+    for a in range(visits):
+        for b in range(visits):
+            # the two visits of a crossing are the same point of the picture, at distance 0
+            between[a, b] = 0.0 if a ^ 1 == b else _shorter(at[a] - at[b], total)
+    # after round m, paths that turn at no visit beyond m are right
+    for m in range(visits):
+        for a in range(visits):
+            for b in range(visits):
+                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
+    return between
+
+
+@inner
+def _shorter(gap: float, total: float) -> float:
+    """Return the shorter of the two ways round a closed curve."""
+    return min(abs(gap), total - abs(gap))

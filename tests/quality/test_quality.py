@@ -4,6 +4,7 @@ import math
 from dataclasses import astuple, fields, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.quality import measures
 from knotgym.quality.limits import Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
-from knotgym.rendering import PictureConfig
+from knotgym.rendering import PictureConfig, project
 from knotgym.rope import Rope
 from knotgym.states import read_states, shipped
 from knotgym.topology import Symmetry, find_crossings
@@ -188,6 +189,34 @@ def test_the_smallest_region_is_the_background_left_beside_the_rope(scale: int) 
     quality = measures.measure(bow_tie(40, 40), config=config)
     inner = quality.smallest_face - scale**2 * RADIUS * (80 + 2 * math.hypot(40, 40))
     assert quality.smallest_region == pytest.approx(inner, rel=0.03)
+
+
+def by_opencv(points: NDArray[np.float64], config: PictureConfig) -> float:
+    """Return the smallest of nx + 2 regions beside the rope as OpenCV draws and counts them."""
+    pixels, fine = project(points, config), 3
+    low = np.floor(pixels.min(axis=0)) - 4
+    high = np.ceil(pixels.max(axis=0)) + 4 - low
+    canvas = np.ones((int(high[1] * fine), int(high[0] * fine)), dtype=np.uint8)
+    corners = np.round((pixels - low) * fine * 16).astype(np.int32)
+    thick = round(2 * config.rope_radius * config.pixels_per_metre * fine)
+    cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, thick), cv2.LINE_8, 4)
+    stats = cv2.connectedComponentsWithStats(canvas, connectivity=8)[2]
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    return areas.min() / fine**2 if len(areas) == find_crossings(points).nx + 2 else 0.0
+
+
+@pytest.mark.parametrize("view", [0.66, 1.32, 2.0])  # bands of 6, 3 and 2 dots
+def test_regions_are_those_that_opencv_draws_and_counts(view: float) -> None:
+    config = PictureConfig(view=view)
+    for points in SHIPPED.points[::9]:
+        assert measures.measure(points, config=config).smallest_region == by_opencv(points, config)
+
+
+def test_ropes_measured_together_are_measured_as_alone() -> None:
+    points = SHIPPED.points[[0, 60, 120, 170]]
+    together = measures.measure_all(points, [find_crossings(one) for one in points])
+    for one, found in zip(points, together, strict=True):
+        assert astuple(found) == pytest.approx(astuple(measure(one)), rel=0, abs=0, nan_ok=True)
 
 
 @pytest.mark.parametrize("nx", range(5))
