@@ -1,8 +1,8 @@
 """A stranger adds a record to a table: it is right everywhere, or refused where it can't be."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,14 +13,16 @@ from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.adapters import goal_env
-from knotgym.common import InvalidInput
+from knotgym.common import InvalidInput, Mark, configuration
 from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
 from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.generate import CollectConfig, collect
 from knotgym.loaders import Transitions, arrays, multiplied
+from knotgym.quality import Limits, Quality
 from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, simulation
 from knotgym.runs import RunOptions
+from knotgym.states import SPLITS, States, read_states, shipped, write_states
 
 ALONE = RunOptions(workers=1, quiet=True)
 TASK = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=5)
@@ -178,3 +180,43 @@ def test_a_reward_of_the_state_before(tmp_path: Path, monkeypatch: Patch) -> Non
     seen, _ = env.reset(seed=0)
     with pytest.raises(InvalidInput, match="reward depends on the code before a pull"):
         env.compute_reward(seen["achieved_goal"], seen["desired_goal"], {})
+
+
+def test_a_third_split(tmp_path: Path, monkeypatch: Patch) -> None:
+    known = read_states(shipped(), images=False)
+    rows = np.flatnonzero(known.nx <= 1)
+    words = {"points": known.points[rows], "split": "val"}
+    with pytest.raises(InvalidInput, match="split must be train or test"):
+        States.from_points(**words)
+    monkeypatch.setitem(SPLITS, "val", SPLITS["test"]._replace(base="val", is_made=False))
+    write_states(tmp_path / "states.h5", States.from_points(**words))
+    made = collected(tmp_path, states=str(tmp_path / "states.h5"), split="val")
+    assert "-val-" in made.name
+    with pytest.raises(InvalidInput, match="no states with nx = . in split 'train'"):
+        gym.make("knotgym/Tie-v0", nx=1, states=str(tmp_path / "states.h5"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "faults"), [("at most", ["writhe"]), ("at least", []), ("", None)]
+)
+def test_a_limit_is_a_maximum_if_its_type_says_so(kind: str, faults: list[str] | None) -> None:
+    @configuration
+    class More(Limits):
+        writhe: Annotated[float, Mark(kind)] | None = 1.0
+
+    state = Quality(*[100.0] * len(fields(Quality)))
+    if faults is None:
+        with pytest.raises(InvalidInput, match="More.writhe must be AtLeast or AtMost"):
+            More.only(writhe=1.0).faults(state, 0)
+    else:
+        assert More.only(writhe=1.0).faults(state, 0) == faults
+
+
+def test_an_option_of_a_policy_is_in_the_default_id(tmp_path: Path) -> None:
+    names = set()
+    for noise in (0.1, 0.3):
+        policy = PolicyConfig(policy="random", noise=noise)
+        names.add(
+            collect(CollectConfig(task=TASK, policy=policy, episodes=1), tmp_path, ALONE).name
+        )
+    assert len(names) == 2

@@ -146,7 +146,7 @@ def _planned(
 
     tables = (PassValues.table(split) for split in ("train", "train-code"))
     files = {path.name: path for path in tables if path.is_file()}
-    return PolicyFamily(form=name, make=_make, files=lambda name: files)
+    return PolicyFamily(form=name, make=_make, files=lambda name: files, plans=True)
 
 
 for _row in (

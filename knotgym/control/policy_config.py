@@ -13,7 +13,6 @@ from pydantic import NonNegativeInt, PositiveInt
 from knotgym.common import InvalidPolicy, Mark, Share, configuration, require_regular
 
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
-_PLANNED = ("expert", "noisy", "play", "planner", "mixed")
 
 
 @configuration
@@ -83,7 +82,10 @@ class PolicyConfig:
     @property
     def plans(self) -> bool:
         """Whether the policy searches, so that an episode takes far longer than its pulls."""
-        return self.policy in _PLANNED
+        try:
+            return bool(self._family().plans)
+        except InvalidPolicy:  # a name that another machine knows, such as in an entry
+            return False
 
     @property
     def short(self) -> str:

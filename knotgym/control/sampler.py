@@ -125,6 +125,7 @@ class PolicyFamily:
         files: name -> the files that decide how the policy acts, by the names used for them in
             results.
         card: name -> facts about the policy's training, or None if it has none.
+        plans: whether it searches, so that an episode takes far longer than its pulls.
     """
 
     form: str
@@ -132,6 +133,7 @@ class PolicyFamily:
     matches: Callable[[str], bool] | None = None
     files: Callable[[str], Mapping[str, Path]] = lambda name: {}
     card: Callable[[str], dict[str, Any] | None] = lambda name: None
+    plans: bool = False
 
 
 def rollouts(

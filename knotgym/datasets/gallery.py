@@ -14,7 +14,7 @@ from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import decode, encode, read_table
 from knotgym.rendering import draw_diagram
-from knotgym.states import States, read_states
+from knotgym.states import SPLITS, States, read_states
 
 if TYPE_CHECKING:
     from knotgym.datasets.located import Located
@@ -90,7 +90,7 @@ def _state_tiles(states: States) -> list[Tile]:
     kinds = [*zip(states.nx.tolist(), states.split.tolist(), strict=True)]
     order = sorted(
         _sample(kinds, MOST_STATES),
-        key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
+        key=lambda i: (states.nx[i], states.gauss_code[i], not SPLITS[states.split[i]].trains),
     )
     captions = (
         (states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}")

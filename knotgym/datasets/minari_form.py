@@ -52,7 +52,7 @@ from knotgym.datasets.episode_dataset import (
 from knotgym.datasets.episodes import Episodes, Statistics, gauss_codes
 from knotgym.envs import TaskConfig
 from knotgym.rope import VIEWS
-from knotgym.states import CODE_SPLITS, minari_root
+from knotgym.states import SPLITS, minari_root
 
 Arrays = dict[str, NDArray[Any]]
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
@@ -276,7 +276,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
     from minari.serialization import serialize_space
 
     metadata, task = metadata_of(dataset), dataset.task
-    split = "test-code" if task.split in CODE_SPLITS else "test"
+    split = SPLITS[task.split].tested_on
     goals = task.max_goals if split == task.split else None  # in another split all
     if metadata is None:
         raise InvalidFile(f"{dataset.path} has no metadata of a Minari dataset")

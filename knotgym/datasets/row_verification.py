@@ -45,7 +45,7 @@ from knotgym.rope import ENGINES, Rope, RopeConfig, drawn_actions, simulation
 from knotgym.states import (
     IMAGE_SPLITS,
     SOURCES,
-    STATE_SPLITS,
+    SPLITS,
     STATES,
     RopeAtRest,
     States,
@@ -202,7 +202,8 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     if not off <= ENGINES[states.engine].rounding:
         yield "points are not those of qpos"
     yield from _derived_faults(stored, rope)
-    if stored["split"] not in STATE_SPLITS:
+    split = str(stored["split"])
+    if not (split in SPLITS and SPLITS[split].of_states):
         yield f"split is {str(stored['split'])!r}"
     try:
         _actions_of(states, row)

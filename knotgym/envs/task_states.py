@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidInput
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import RopeConfig
-from knotgym.states import CODE_SPLITS, States, is_bundled, read_states, resolve_states, shipped
+from knotgym.states import SPLITS, States, is_bundled, read_states, resolve_states, shipped
 from knotgym.topology import UNKNOT
 
 
@@ -94,7 +94,8 @@ def _side(task: TaskConfig, path: Path, states: States, nx: int) -> TaskSide:
         states = _of_our_rope(path, task)
     rows = states.rows(nx, task.split)
     if not len(rows):
-        if task.split in CODE_SPLITS and len(states.rows(nx, task.split[:-5])):
+        split = SPLITS[task.split]
+        if split.by_code and len(states.rows(nx, split.base)):
             raise InvalidInput(
                 f"split {task.split!r} has no state with nx = {nx} in {path}: there are too few"
                 " diagrams to hold one out; use split 'train' or 'test'"

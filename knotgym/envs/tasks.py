@@ -15,7 +15,7 @@ from knotgym.envs.observations import LAYOUTS, OBSERVATIONS
 from knotgym.quality import RESET_NOISE
 from knotgym.rendering import APPEARANCES, AppearanceName, CameraName, PictureConfig, Views
 from knotgym.rope import ENGINES, MUJOCO, VIEWS, EngineName
-from knotgym.states import CODE_SPLITS, STATE_SPLITS
+from knotgym.states import SPLITS
 
 if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
@@ -123,7 +123,7 @@ class TaskConfig:
 
     task: TaskName | Annotated[tuple[TaskName, ...], Distinct]
     nx: PositiveInt | Annotated[tuple[PositiveInt, ...], Distinct] = 2
-    split: Annotated[str, choice(*STATE_SPLITS, *CODE_SPLITS)] = "train"
+    split: Annotated[str, choice(growing=SPLITS)] = "train"
     states: Annotated[str, Mark("states")] | None = None
     engine: EngineName = MUJOCO
     beads: Annotated[int, Field(ge=_BEADS.start, le=_BEADS[-1])] = 100
@@ -172,7 +172,7 @@ class TaskConfig:
             )
         if max(self.crossings) > (most := self.most_nx(self.beads)):
             raise InvalidInput(f"nx must be from 1 to {most} on {self.beads} beads, got {self.nx}")
-        if self.split in CODE_SPLITS and min(self.crossings) < 2:
+        if SPLITS[self.split].by_code and min(self.crossings) < 2:
             raise InvalidInput(f"with split {self.split!r} use an nx of at least 2, got {self.nx}")
         if self.integrator_steps != 24 and not ENGINES[self.engine].has_integrator:
             raise InvalidInput(f"integrator_steps are steps of MuJoCo, not of {self.engine!r}")

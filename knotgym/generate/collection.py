@@ -69,9 +69,7 @@ def _distinct_id(config: CollectConfig) -> str:
     own = as_json(task)
     plain = {**as_json(TaskConfig(task="tie")), **{name: own[name] for name in marked}}
     rules = list(differences(plain, own))
-    if config.labels or policy.plans:
-        usual = PolicyConfig(policy=policy.policy)
-        rules += differences(as_json(usual), as_json(policy))
+    rules += differences(as_json(PolicyConfig(policy=policy.policy)), as_json(policy))
     digest = hashlib.sha256("; ".join(rules).encode()).hexdigest()[:8]
     marks = {
         states_mark(task.states): True,

@@ -94,7 +94,7 @@ class CollectConfig:
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     """Return the id of a dataset from its task, its policy and further marks."""
-    split = "" if task.split == "train" else task.split
+    split = "" if task.split == TaskConfig.split else task.split
     engine = "" if ENGINES[task.engine].is_reference else task.engine
     name = "-".join([policy.short, *filter(None, (engine, split, *marks))])
     return f"knotgym/{task.name}/{name}-v0"

@@ -29,7 +29,7 @@ from knotgym.generate.generate_config import GenerateConfig
 from knotgym.generate.state_rows import ROWS, joined, states_of
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, run
-from knotgym.states import SOURCES, STATE_SPLITS, States, write_states
+from knotgym.states import SOURCES, SPLITS, STATE_SPLITS, States, write_states
 from knotgym.topology import UNKNOT, diagram_of, type_of
 
 # Settings that only say when a run gives up. A run may be resumed with others.
@@ -264,7 +264,7 @@ def _dataset_id(nx: int, split: str, knot: str) -> str:
     >>> _dataset_id(3, "train", "3_1")
     'knotgym/tie-nx3-3_1/demonstrations-v0'
     """
-    name = "demonstrations" if split == "train" else f"demonstrations-{split}"
+    name = "demonstrations" if SPLITS[split].trains else f"demonstrations-{split}"
     knotted = "" if knot == UNKNOT else f"-{knot}"
     return f"knotgym/{'tie' if nx else 'unknot'}-nx{nx}{knotted}/{name}-v0"
 

@@ -31,7 +31,7 @@ from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.train_config import CloneConfig
 from knotgym.rope import Pass
 from knotgym.runs import Result
-from knotgym.states import CODE_SPLITS
+from knotgym.states import SPLITS
 from knotgym.topology import CodeArrays, GaussCode, label
 
 TOGETHER = 250  # searches of one call
@@ -157,7 +157,7 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     search = BatchedSearch(_ROPES)
     found = dict(search.run(_found(*one, values) for one in given))
     # a code that is held out is no goal, wherever passes lead
-    elsewhere = 0 if config.split in CODE_SPLITS else _ELSEWHERE
+    elsewhere = 0 if SPLITS[config.split].by_code else _ELSEWHERE
     rows = [
         (first + k, *row)
         for k in sorted(found)

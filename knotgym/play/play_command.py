@@ -35,7 +35,7 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
     runs.compile_first(progress, engine=config.task.engine)
     task, dataset = config.task, ""
     if record:
-        marks = "" if task.split == "train" else task.split, states_mark(task.states)
+        marks = "" if task.split == type(task).split else task.split, states_mark(task.states)
         name = "-".join(["human", *filter(None, marks)])
         dataset = id or f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
     with serve(config, progress.say, dataset, out) as page, suppress(KeyboardInterrupt):

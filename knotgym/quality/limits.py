@@ -5,11 +5,12 @@ Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pix
 """
 
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, ClassVar
+from functools import cache
+from typing import Annotated, Any, ClassVar
 
-from pydantic import NonNegativeFloat
+from pydantic import Field
 
-from knotgym.common import Share, configuration
+from knotgym.common import InvalidInput, Mark, configuration
 
 # Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
 # at which `Quality.noise_survival` is measured.
@@ -96,8 +97,9 @@ class Quality:
 
 
 Quality.UNITS = {measure.name: str(measure.metadata["unit"]) for measure in fields(Quality)}
-# Limits that are upper bounds of their measure
-_MAXIMA = ("excess_crossing_number", "total_curvature", "curvature_per_crossing")
+# types of limits: what a measure must be at least, and at most
+AtLeast = Annotated[float, Mark("at least")]
+AtMost = Annotated[float, Mark("at most")]
 
 
 @configuration
@@ -128,26 +130,27 @@ class Limits:
     UNTWISTED: ClassVar["Limits"]
     UNAMBIGUOUS: ClassVar["Limits"]
 
-    crossing_angle: NonNegativeFloat | None = 25.0
-    crossing_spacing: NonNegativeFloat | None = 6.0
-    base_spacing: NonNegativeFloat | None = 3.0
-    strand_spacing: NonNegativeFloat | None = 3.0
-    smallest_region: NonNegativeFloat | None = 9.0
-    margin: float | None = 3.0
-    clearance: NonNegativeFloat | None = 8.0
-    excess_crossing_number: NonNegativeFloat | None = 2.5
-    total_curvature: NonNegativeFloat | None = None
-    curvature_per_crossing: NonNegativeFloat | None = 2.0
-    noise_survival: Share | None = 0.95
+    crossing_angle: Annotated[AtLeast, Field(ge=0)] | None = 25.0
+    crossing_spacing: Annotated[AtLeast, Field(ge=0)] | None = 6.0
+    base_spacing: Annotated[AtLeast, Field(ge=0)] | None = 3.0
+    strand_spacing: Annotated[AtLeast, Field(ge=0)] | None = 3.0
+    smallest_region: Annotated[AtLeast, Field(ge=0)] | None = 9.0
+    margin: AtLeast | None = 3.0
+    clearance: Annotated[AtLeast, Field(ge=0)] | None = 8.0
+    excess_crossing_number: Annotated[AtMost, Field(ge=0)] | None = 2.5
+    total_curvature: Annotated[AtMost, Field(ge=0)] | None = None
+    curvature_per_crossing: Annotated[AtMost, Field(ge=0)] | None = 2.0
+    noise_survival: Annotated[AtLeast, Field(ge=0, le=1)] | None = 0.95
 
     def faults(self, quality: Quality, nx: int) -> list[str]:
         """Return the limits that a state with nx crossings misses; a measure of NaN passes."""
         measured = {**vars(quality), "curvature_per_crossing": quality.total_curvature / (nx + 1)}
+        kind: Any = type(self)
+        bounds = {name: bound for name, bound in vars(self).items() if bound is not None}
         return [
             name
-            for name, bound in vars(self).items()
-            if bound is not None
-            and (measured[name] > bound if name in _MAXIMA else measured[name] < bound)
+            for name, bound in bounds.items()
+            if (measured[name] > bound if _is_maximum(kind, name) else measured[name] < bound)
         ]
 
     @classmethod
@@ -171,3 +174,14 @@ Limits.UNAMBIGUOUS = Limits.only(
 def grade_of(ease: float) -> str:
     """Return the grade of an ease, one of GRADES."""
     return next((grade for grade, least in _EASES.items() if ease >= least), "extreme")
+
+
+@cache
+def _is_maximum(limits: Any, name: str) -> bool:
+    """Whether a limit is the largest value of its measure, as its type says."""
+    most, least = (
+        {one for one, *_ in Mark.fields(limits, {}, word)} for word in ("at most", "at least")
+    )
+    if (name in most) == (name in least):
+        raise InvalidInput(f"the type of {limits.__name__}.{name} must be AtLeast or AtMost")
+    return name in most

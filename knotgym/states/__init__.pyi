@@ -7,9 +7,9 @@ from .near_duplicates import pairs_within as pairs_within
 from .near_duplicates import repeated as repeated
 from .schema import STATES as STATES
 from .schema import RopeAtRest as RopeAtRest
-from .sources import CODE_SPLITS as CODE_SPLITS
 from .sources import IMAGE_SPLITS as IMAGE_SPLITS
 from .sources import SOURCES as SOURCES
+from .sources import SPLITS as SPLITS
 from .sources import STATE_SPLITS as STATE_SPLITS
 from .sources import held_form as held_form
 from .sources import is_bundled as is_bundled

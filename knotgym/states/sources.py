@@ -19,11 +19,43 @@ from knotgym.common import InvalidFile, Kinds, MissingFile, Stream, require_no_l
 from knotgym.rope import CHAIN, MUJOCO, EngineName
 from knotgym.topology import GaussCode, Symmetry, canonical
 
-STATE_SPLITS = ("train", "test")
-# parts of "train" and "test" without a common diagram, see `States.rows`
-CODE_SPLITS = ("train-code", "test-code")
-# splits of pictures: test-code has held-out codes, test-nx a held-out crossing number
-IMAGE_SPLITS = (*STATE_SPLITS, "test-code", "test-nx")
+
+class Split(NamedTuple):
+    """Everything in which one split differs from the others.
+
+    Attributes:
+        base: the split of states whose rows it has.
+        by_code: whether it has only those of its base whose diagram is held out, or isn't, see
+            `States.rows`.
+        of_states: whether rows of states are in it; splits by code are parts of others.
+        is_made: whether recipes divide states between it and the other such split.
+        trains: whether learners may see its rows.
+        of_pictures: whether a table of pictures may have it.
+        tested_on: the split of states on which its episodes' learners are tested.
+    """
+
+    base: str
+    by_code: bool = False
+    of_states: bool = False
+    is_made: bool = False
+    trains: bool = False
+    of_pictures: bool = False
+    tested_on: str = "test"
+
+
+SPLITS = Kinds(
+    "split",
+    {
+        "train": Split("train", of_states=True, is_made=True, trains=True, of_pictures=True),
+        "test": Split("test", of_states=True, is_made=True, of_pictures=True),
+        # parts of "train" and "test" without a common diagram
+        "train-code": Split("train", by_code=True, trains=True, tested_on="test-code"),
+        "test-code": Split("test", by_code=True, of_pictures=True, tested_on="test-code"),
+    },
+)
+STATE_SPLITS = tuple(name for name, one in SPLITS.items() if one.is_made)
+# of pictures: test-code has held-out codes, test-nx a held-out crossing number
+IMAGE_SPLITS = (*(name for name, one in SPLITS.items() if one.of_pictures), "test-nx")
 
 SETS = {"readable": "states.h5"}  # included sets: name -> file
 SETS |= {name: f"{name}.h5" for name in ("random-walk", "hard-unknots", "bench")}

@@ -20,7 +20,7 @@ from knotgym.common import InvalidFile, InvalidInput, Table, format_of, read_tab
 from knotgym.rope import MUJOCO
 from knotgym.states.near_duplicates import repeated, spread_of
 from knotgym.states.schema import ATTRIBUTES, FORMAT, STATES, VERTICES, VERTICES_FORMAT, RopeAtRest
-from knotgym.states.sources import STATE_SPLITS, resolve_states
+from knotgym.states.sources import SPLITS, STATE_SPLITS, resolve_states
 from knotgym.topology import UNKNOWN, GaussCode, Symmetry, canonical, same_spot
 
 DIGEST = "content_sha256"  # attribute: `Table.digest` of the file's table
@@ -95,9 +95,10 @@ class States:
         curves, splits = np.asarray(points, dtype=np.float64), np.asarray(split, dtype=np.str_)
         if curves.ndim != 3 or curves.shape[2] != 3 or not len(curves):
             raise InvalidInput(f"points must have shape (n, beads, 3), got {curves.shape}")
-        if splits.shape not in ((), (len(curves),)) or not np.isin(splits, STATE_SPLITS).all():
+        known = [name for name, one in SPLITS.items() if one.of_states]
+        if splits.shape not in ((), (len(curves),)) or not np.isin(splits, known).all():
             raise InvalidInput(
-                f"split must be {' or '.join(STATE_SPLITS)}, one for all or one for each of"
+                f"split must be {' or '.join(known)}, one for all or one for each of"
                 f" {len(curves)} ropes, got {split!r}"
             )
         if curves.shape[1] and same_spot(curves)[:, -1].all():
@@ -174,9 +175,9 @@ class States:
         that are rarest in train, up to a quarter of the diagrams of the nx; train keeps at least
         one diagram. Loops and curls have a single diagram each and are in both.
         """
-        base, by_code, _ = split.partition("-code")
-        rows = np.flatnonzero((self.nx == nx) & (self.split == base))
-        if not by_code or nx < 2:
+        own = SPLITS[split]
+        rows = np.flatnonzero((self.nx == nx) & (self.split == own.base))
+        if not own.by_code or nx < 2:
             return rows
         train, test = (self.diagrams(self.rows(nx, split)) for split in STATE_SPLITS)
         # diagrams of test in the order in which they are held out: absent from train first
@@ -188,8 +189,8 @@ class States:
             for rank, form in enumerate(rarest)
             if form not in train or (rank < wanted and {*train} - {*rarest[: rank + 1]})
         }
-        own = train if base == "train" else test
-        return rows[[(form in held) == (base == "test") for form in own]]
+        here = train if own.trains else test
+        return rows[[(form in held) != own.trains for form in here]]
 
     def diagrams(self, rows: NDArray[np.int64]) -> list[GaussCode]:
         """Return the codes of rows up to symmetry, see `topology.canonical`."""

@@ -27,7 +27,7 @@ from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight, first_goal
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Pass, TowBound
-from knotgym.states import CODE_SPLITS
+from knotgym.states import SPLITS
 from knotgym.topology import GaussCode
 
 _DATA = Path(str(files("knotgym.control.planning") / "data"))
@@ -66,7 +66,7 @@ class PassValues:
                 towards train goals alone; makes no difference to splits by code.
         """
         name = "passes-every-code" if every_code else "passes"
-        return _DATA / f"{'passes-by-code' if split in CODE_SPLITS else name}.h5"
+        return _DATA / f"{'passes-by-code' if SPLITS[split].by_code else name}.h5"
 
     @classmethod
     def of_split(cls, split: str = "train", *, every_code: bool = False) -> PassValues:

@@ -23,7 +23,7 @@ from knotgym.datasets.image_table import file_stem, marks_base, measures_of, rea
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES
 from knotgym.rendering import APPEARANCES
-from knotgym.states import IMAGE_SPLITS, SOURCES, STATE_SPLITS, States, nearest, read_states
+from knotgym.states import IMAGE_SPLITS, SOURCES, SPLITS, STATE_SPLITS, States, nearest, read_states
 from knotgym.topology import GaussCode
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ _FOLDER = files("knotgym.datasets.cards")
 _TABLES = tomllib.loads((_FOLDER / "tables.toml").read_text("utf-8"))
 BIBTEX = (_FOLDER / "citation.bib").read_text("utf-8").strip()
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
-_SPLITS = {name: ("split", name) for name in STATE_SPLITS}
+_SPLITS = {name: ("split", name) for name, one in SPLITS.items() if one.of_states}
 _IMAGE_SPLITS = {name: ("split", name) for name in IMAGE_SPLITS}
 _GRADES = {name: ("grade", name) for name in GRADES} | {"accepted": ("accepted", True)}
 
@@ -294,7 +294,7 @@ def _overlap(states: States, nx: int) -> tuple[object, ...]:
     known, asked = (
         (states.gauss_code[rows].tolist(), states.diagrams(rows)) for rows in (train, test)
     )
-    every, near = np.flatnonzero(states.split == "train"), "-"
+    every, near = np.flatnonzero([SPLITS[one].trains for one in states.split]), "-"
     if len(test) and len(every):
         near = f"{1000 * nearest(states.points[test], states.points[every])[0].min():.1f}"
     shared = [sum(one in {*seen} for one in own) for own, seen in zip(asked, known, strict=True)]

@@ -32,7 +32,7 @@ from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 from knotgym.datasets.located import Located
 from knotgym.envs import OBSERVATIONS
-from knotgym.states import STATE_SPLITS, States, read_states, repeated
+from knotgym.states import SPLITS, States, read_states, repeated
 
 _OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't exported
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
@@ -110,7 +110,7 @@ def _tables(
 ) -> Iterator[tuple[str, str, Iterable[Table]]]:
     """Yield config, split and tables of each Parquet file."""
     if states is not None:
-        for split in STATE_SPLITS:
+        for split in (name for name, one in SPLITS.items() if one.of_states):
             part = states.take(np.flatnonzero(states.split == split)).table
             yield "states", split, [part] if part.rows else []
     if len({one.task.engine for one in datasets}) > 1:
