@@ -45,7 +45,9 @@ def test_rows_are_those_of_nx_and_split(states: States) -> None:
             rows = states.rows(nx, split)
             assert len(rows) == 3
             assert set(states.nx[rows]) == {nx} and set(states.split[rows]) == {split}
-    assert len(states.rows(9, "train")) == len(states.rows(2, "dev")) == 0
+    assert len(states.rows(9, "train")) == 0
+    with pytest.raises(InvalidInput, match="split must be one of train, test, train-code"):
+        states.rows(2, "dev")
 
 
 def test_codes_and_origin_are_completed(states: States) -> None:
