@@ -219,7 +219,8 @@ def test_tables_of_columns_are_those_of_the_schemas() -> None:
 def test_the_episode_file_is_as_its_page_says(minari: Path) -> None:
     said = tables(DOCS / "formats/episodes.md")
     with h5py.File(minari / ID / "data/episodes.h5") as file:
-        own = {"states_sha256"}  # of states that aren't bundled
+        # of states that aren't bundled, and of entries
+        own = {"states_sha256", "tasks", "protocol", "claims"}
         assert names(said["Attributes of the file"]) - own == {*file.attrs} - own
     with h5py.File(minari / ID / "data/main_data.hdf5") as file:
         assert names(said["Attributes of an episode"]) == {*file["episode_0"].attrs}
@@ -244,8 +245,8 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
         for row in tables(DOCS / "formats/index.md")["File formats"]
         if code_words(row[2])
     }
-    written = "states.schema datasets.episode_dataset datasets.image_table generate.recordings"
-    written += " generate.entries control.planning.moves learn.card"
+    written = "states.schema datasets.episode_dataset datasets.image_table"
+    written += " control.planning.moves learn.card"
     for module in map(
         vars, (importlib.import_module(f"knotgym.{name}") for name in written.split())
     ):

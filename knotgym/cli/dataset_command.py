@@ -128,7 +128,7 @@ def page(given: Given, source: Source, /, *, out: Path | None = None) -> None:
         out: HTML file to write; page.html in the folder by default.
     """
     given.progress.stage("writing the page")
-    _write(given, source, out, "page.html", datasets.write_page)
+    _write(given, source, out, "page.html", partial(datasets.write_page, replay=control.replay))
 
 
 @_command("run.overwrite")

@@ -3,7 +3,7 @@
 import importlib.util
 from pathlib import Path
 
-from knotgym import common, datasets, envs, loaders, rendering, runs
+from knotgym import common, control, datasets, envs, loaders, rendering, runs
 from knotgym.cli.options import Given, command
 
 
@@ -40,7 +40,7 @@ def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
         first.resize(size, Image.Resampling.NEAREST).save(folder / "reset.png")
         progress.stage("drawing the film and the page")
         rendering.Film(folder / film_name).write(film(played.episodes, config.task))
-        datasets.write_page(folder / "page.html", datasets.locate(str(dataset)))
+        datasets.write_page(folder / "page.html", datasets.locate(str(dataset)), control.replay)
     reached = int(played.episodes.episodes["success"].sum())
     progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")
     progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.cli.program import shown
-from knotgym.common import Failed, InvalidInput, atomic_write, require_output
+from knotgym.common import Failed, InvalidFile, InvalidInput, atomic_write, require_output
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import in_words, locate, open_episodes, show_episodes, summary, try_files
 from knotgym.generate import film as film_of
@@ -64,7 +64,11 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
     tables = [file for file in (root, *root.glob("**/*.parquet")) if file.is_file()]
     large = sum(file.stat().st_size for file in tables) > _LARGE
     progress.stage(f"checking {root}")
-    clean, entry = True, read_entry(root)
+    try:
+        clean, entry = True, read_entry(root)
+    except InvalidFile as error:
+        yield str(error)
+        return
     with executor(0 if large else 1) as pool:
         for fault in entry.faults(progress) if entry else dataset_faults(named, pool.map, sample):
             clean = False

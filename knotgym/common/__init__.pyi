@@ -1,6 +1,7 @@
 from .arrays import Array as Array
 from .arrays import Ids as Ids
 from .atomic_files import atomic_write as atomic_write
+from .atomic_files import code_sha256 as code_sha256
 from .atomic_files import move_into_place as move_into_place
 from .atomic_files import names_apart as names_apart
 from .atomic_files import remove as remove

@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
+from functools import cache
 from itertools import permutations
 from pathlib import Path
 
@@ -244,6 +245,18 @@ def remove(path: Path) -> None:
         sweep(path)
     else:
         path.unlink(missing_ok=True)
+
+
+@cache
+def code_sha256(folder: Path, *without: str) -> str:
+    """Return the SHA-256 of a package's files, but of the rooms that are left out."""
+    digest = hashlib.sha256()
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.*")}
+    for name in sorted(files):
+        left_out = {*Path(name).parts} & {*without, "__pycache__"}
+        if not left_out and files[name].is_file():
+            digest.update(f"{name}\0".encode() + files[name].read_bytes() + b"\0")
+    return digest.hexdigest()
 
 
 def sweep(path: Path) -> None:

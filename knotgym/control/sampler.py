@@ -414,6 +414,8 @@ class _Record:
         # goals were kept at the width that codes had then; all get the final one
         width = 2 * self._batch.signs.shape[1]
         rows: dict[str, Any] = {}
+        never = [c.name for c in self._episodes.columns if c.optional and c.origin == "given"]
+        self._episodes = self._episodes.without(*never)
         if unknown := {*self._episodes.names} - {*self._rows[0], *self._episodes.derived()}:
             raise InvalidInput(
                 f"nothing fills column {', '.join(sorted(unknown))} of episodes: it is filled in"

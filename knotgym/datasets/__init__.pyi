@@ -4,6 +4,7 @@ from .cards import suite_card as suite_card
 from .cards import summary as summary
 from .episode_dataset import EpisodeDataset as EpisodeDataset
 from .episode_dataset import columns_of as columns_of
+from .episode_dataset import joined_task as joined_task
 from .episode_dataset import open_episodes as open_episodes
 from .episode_dataset import write_episodes as write_episodes
 from .episode_verification import expanded as expanded

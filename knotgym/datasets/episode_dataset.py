@@ -5,17 +5,22 @@
     {root}/{dataset id}/data/metadata.json      Minari's metadata
     {root}/{dataset id}/data/states.h5          the states it resets from, unless they are shipped
 
-An episode file holds the tables of `episodes`, in one of two forms, and these attributes:
+An episode file holds the tables of `episodes`, in one of two forms. An *entry* is a recording with
+a protocol and claims: every pull of an evaluation. The attributes are:
 
     form        "columns" or "recording", whose `start_qpos` is zeros where the seed draws it, and
                 whose forces are whole numbers where all are `quantized`
     task        settings of the environment
+    tasks       those that the column `setup` counts, in files that have it; `task` joins them
     rope        fingerprint of the rope model
     versions    package -> version that wrote the file
     digest      SHA-256 of starts and pulls, the same in both forms
     given       column that nothing can make again -> its SHA-256
     expansion   SHA-256 of the columns that a replay gives; a recording has it from the columns that
                 it was made of
+    attributes  SHA-256 of all other attributes
+    protocol    of an entry, what was played; see `knotgym.generate.entries`
+    claims      of an entry, what no replay proves
     metadata    of the Minari dataset, see `MinariMetadata`; left out in single files
     run         facts about the run that made it, such as its configuration; may be left out
     selection   the selections that it went through, oldest first; may be left out
@@ -23,13 +28,14 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
 """
 
 import hashlib
+import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +56,8 @@ _DRAWN = 1024  # starts that are drawn together
 _LISTED = 5  # datasets that a message names
 MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
-_KEPT_FACTS = ("metadata", "run", "selection", STATES_DIGEST)
+_KEPT_FACTS = ("metadata", "run", "selection", "tasks", STATES_DIGEST)
+_SEAL = "attributes"
 # settings of the environment that loaders read; datasets that are loaded together share them
 _READ = (
     *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
@@ -58,10 +65,19 @@ _READ = (
 )
 
 
+def joined_task(tasks: Sequence[TaskConfig]) -> TaskConfig:
+    """Return the task that draws from all of those, which differ in task, nx and split alone."""
+    names = dict.fromkeys(name for one in tasks for name in one.tasks)
+    crossings = sorted({nx for one in tasks for nx in one.crossings})
+    several: dict[str, Any] = {"task": (*names,), "nx": (*crossings,)}
+    return replace(tasks[0], **{name: own for name, own in several.items() if len(own) > 1})
+
+
 def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
     """Upgrade a file of version 2, in which one column alone was a claim, `expert_action`."""
     advice = attributes.pop("advice", None)
     attributes["given"] = {"steps/expert_action": advice} if advice else {}
+    attributes[_SEAL] = EpisodeDataset.seal(attributes)
 
 
 _UPGRADES = {2: _to_3}
@@ -81,6 +97,8 @@ class EpisodeDataset:
 
     Pickling one keeps the paths alone: each process maps the files itself.
     """
+
+    FORMAT: ClassVar[str] = FORMAT
 
     path: Path
     episodes: Episodes
@@ -112,6 +130,32 @@ class EpisodeDataset:
     def digests(self) -> dict[str, Any]:
         """The digests of its episodes as they are, by the names of the file's attributes."""
         return _digests_of([self.episodes])
+
+    @staticmethod
+    def seal(attributes: Mapping[str, Any]) -> str:
+        """Return the digest of a file's attributes, but for this one, as they are stored."""
+        own = {
+            name: str(value) if isinstance(value, str) else json.dumps(value, sort_keys=True)
+            for name, value in sorted(attributes.items())
+            if name != _SEAL
+        }
+        return hashlib.sha256(json.dumps(own).encode()).hexdigest()
+
+    def digest_faults(self) -> Iterator[str]:
+        """Yield what of a file isn't as it was written, of what no replay gives."""
+        if self.rows is not None or self.parts:
+            return  # a part of a file has no digest
+        now, then = self.digests, self.attributes
+        if then.get("attributes") != self.seal(then):
+            yield f"{self.path}: its attributes don't match their digest"
+        if then.get("digest") != now["digest"]:
+            yield f"{self.path}: its starts and pulls don't match their digest"
+        if not isinstance(claims := then.get("given"), dict):
+            yield f"{self.path} has no digests of columns that nothing can make again"
+            return
+        for name in sorted({*now["given"], *claims}):
+            if claims.get(name) != now["given"].get(name):
+                yield f"{self.path}: column {name} doesn't match its digest"
 
     @property
     def numbers(self) -> NDArray[np.int64]:
@@ -165,6 +209,22 @@ class EpisodeDataset:
         content = int(self.digests["digest"][:12], 16)
         rng = Stream.CHECKED_EPISODES.generator(content)
         return self.select(np.sort(rng.choice(rows, sample, replace=False)))
+
+    @cached_property
+    def tasks(self) -> list[TaskConfig]:
+        """The tasks that `setup` counts; the task alone where there is no such column."""
+        listed = self.attributes.get("tasks")
+        return [common.from_json(TaskConfig, one) for one in listed] if listed else [self.task]
+
+    def setups(self) -> "Iterator[tuple[NDArray[np.int64], EpisodeDataset]]":
+        """Yield the rows of the episodes of each task, and these as a dataset of that task."""
+        if "setup" not in self.episodes.episodes:
+            yield np.arange(self.episodes.episodes.rows), self
+            return
+        rest = {name: own for name, own in self.attributes.items() if name != "tasks"}
+        for number, task in enumerate(self.tasks):
+            rows = np.flatnonzero(self.episodes.episodes["setup"] == number)
+            yield rows, replace(self, task=task, attributes=rest).select(rows)
 
     @property
     def found_task(self) -> TaskConfig:
@@ -234,6 +294,10 @@ def open_episodes(source: Any) -> EpisodeDataset:
     if int(lengths.sum()) + rows.rows != steps.rows:
         raise InvalidFile(f"{path} has {steps.rows} rows of steps, not those of its episodes")
     opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
+    if "setup" in rows or "tasks" in attributes:
+        with InvalidFile.instead(f"{path} has no valid tasks", KnotgymError, KeyError, TypeError):
+            if rows["setup"].max(initial=0) >= len(opened.tasks):
+                raise InvalidFile("its episodes are of more tasks than it lists")
     return _chosen(_unpacked(opened) if attributes["form"] == "recording" else opened, source)
 
 
@@ -249,8 +313,8 @@ def _opened(source: Any, rows: NDArray[np.int64] | None) -> EpisodeDataset:
     return opened if rows is None else opened.select(rows)
 
 
-def columns_of(source: Any) -> EpisodeDataset:
-    """Open a dataset as `open_episodes` does, and refuse a recording.
+def columns_of(source: Any, *, recordings: bool = False) -> EpisodeDataset:
+    """Open a dataset as `open_episodes` does, and refuse a recording unless `recordings` are taken.
 
     A dataset that Minari's `DataCollector` recorded is read into memory, see `minari_recording`. A
     list of datasets is read into memory as one, which has the first one's task. They may be of
@@ -271,7 +335,7 @@ def columns_of(source: Any) -> EpisodeDataset:
 
         return _chosen(EpisodeDataset(path, *recorded_columns(path), {}), source)
     opened = open_episodes(source)
-    if opened.episodes.is_recording:
+    if opened.episodes.is_recording and not recordings:
         raise InvalidInput(f"{opened.path} is a recording; dataset export --to columns plays it")
     return opened
 
@@ -325,6 +389,7 @@ def write_episodes(
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
         **_digests_of(same),
     }
+    attributes[_SEAL] = EpisodeDataset.seal(attributes)
     if parts[0].is_recording:
         # beside its states, by which the starts that follow from seeds are found
         same, pack = _packed(same, EpisodeDataset(Path(path), same[0], task, attributes)), True
@@ -337,11 +402,11 @@ def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
 
     A start takes 3 kB, and forces most of the bytes of the steps.
     """
-    seeds = np.concatenate([part.episodes["seed"] for part in parts])
+    wanted = "seed", *({"setup"} & {*parts[0].episodes})
     try:
-        drawn = _starts(place.found_task, seeds)
+        drawn = _starts(place, Table.joined([part.episodes.only(*wanted) for part in parts]))
     except KnotgymError:  # the states aren't here, so that all starts stay
-        drawn = np.full((len(seeds), 1), np.nan)
+        drawn = np.full((sum(part.episodes.rows for part in parts), 1), np.nan)
     ends, packed = np.cumsum([part.episodes.rows for part in parts]), list[Episodes]()
     for part, same in zip(parts, np.split(drawn, ends[:-1]), strict=True):
         starts = part.episodes["start_qpos"].copy()
@@ -370,7 +435,7 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
     lacking = np.flatnonzero(~own["start_qpos"].any(axis=1))
     if len(lacking):
         starts = own["start_qpos"].copy()
-        drawn = _starts(stored.found_task, own["seed"][lacking])
+        drawn = _starts(stored, own.take(lacking))
         if drawn.shape[1] != starts.shape[1]:
             raise InvalidFile(f"{stored.path} has starts of another rope than its task")
         starts[lacking] = drawn
@@ -384,15 +449,21 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
     return replace(stored, episodes=Episodes(own, Table(schema, columns)))
 
 
-def _starts(task: TaskConfig, seeds: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Draw starts again, float64 (n, nq); zeros where no seed is known."""
+def _starts(place: EpisodeDataset, rows: Table) -> NDArray[np.float64]:
+    """Draw the starts of episodes again, float64 (n, nq); zeros where no seed is known.
 
-    batch = envs.EpisodeBatch(task)
-    starts = np.zeros((len(seeds), batch.start_qpos.shape[1]))
-    known = np.flatnonzero(seeds >= 0)
-    for first in range(0, len(known), _DRAWN):
-        some = known[first : first + _DRAWN]
-        starts[some] = batch.drawn(seeds[some].tolist())["start_qpos"]
+    `rows` are those of a dataset's table of episodes, with the columns `seed` and, if any, `setup`.
+    """
+    states, seeds = place.found_task.states, rows["seed"]
+    number = rows.get("setup", np.zeros(rows.rows, np.int16))
+    starts = np.zeros((0, 0))
+    for k, task in enumerate(place.tasks):
+        batch = envs.EpisodeBatch(replace(task, states=states))
+        starts = starts if starts.size else np.zeros((len(seeds), batch.start_qpos.shape[1]))
+        known = np.flatnonzero((seeds >= 0) & (number == k))
+        for first in range(0, len(known), _DRAWN):
+            some = known[first : first + _DRAWN]
+            starts[some] = batch.drawn(seeds[some].tolist())["start_qpos"]
     return starts
 
 

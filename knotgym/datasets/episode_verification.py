@@ -49,15 +49,21 @@ def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
     Raises:
         InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
     """
-    parts, task, rows = [], dataset.found_task, dataset.episodes.episodes.rows
+    parts, order = list[Episodes](), list[NDArray[np.int64]]()
+    rows = dataset.episodes.episodes.rows
     is_whole = dataset.rows is None and not dataset.parts
-    for fault in _digest_faults(dataset):
+    for fault in dataset.digest_faults():
         raise InvalidFile(fault)
-    for first in range(0, rows, _BLOCK):
-        Counts.tell("episodes played again", Counts.from_now(first), rows)
-        some = dataset.episodes.select(np.arange(first, min(first + _BLOCK, rows)))
-        parts.append(replay(some, task).with_claims(some))
-    whole = replace(dataset, episodes=Episodes.merged(parts) if parts else dataset.episodes)
+    for of_task, one in dataset.setups():
+        order.append(of_task)
+        for first in range(0, len(of_task), _BLOCK):
+            Counts.tell("episodes played again", Counts.from_now(len(parts) * _BLOCK), rows)
+            some = one.episodes.select(np.arange(first, min(first + _BLOCK, len(of_task))))
+            parts.append(replay(some, one.found_task).with_claims(some))
+    made = Episodes.merged(parts) if parts else dataset.episodes
+    if len(order) > 1:
+        made = made.select(np.argsort(np.concatenate(order)))
+    whole = replace(dataset, episodes=made)
     if is_whole and dataset.episodes.is_recording and parts:
         found = whole.digests["expansion"]
         if dataset.attributes.get("expansion", found) != found:
@@ -101,12 +107,15 @@ def _faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
     if faults := [*_file_faults(dataset)]:
         yield from faults
         return
-    yield from _split_faults(dataset)
-    yield from _duplicate_faults(dataset)
+    for _, one in dataset.setups():
+        yield from _split_faults(one)
+        yield from _duplicate_faults(one)
     dataset = dataset.drawn(sample)
     try:
         columns = expanded(dataset, replay)
-        for fault in columns.episodes.differences(dataset.episodes, dataset.numbers):
+        is_recording, made = dataset.episodes.is_recording, columns.episodes
+        made = made.recording() if is_recording else made
+        for fault in made.differences(dataset.episodes, dataset.numbers):
             yield ReplayFault(f"{dataset.path}, {fault}, played again")
     except KnotgymError as error:
         yield ReplayFault(f"{dataset.path}: can't be played again: {one_line(error)}")
@@ -171,7 +180,7 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     missing = (own["goal"] < 0) | (own["start"] < 0)
     if missing.any():
         yield f"{dataset.path}, episode {missing.argmax()}: it names no start, or no goal"
-    yield from _digest_faults(dataset)
+    yield from dataset.digest_faults()
 
 
 def _fit_macros(dataset: EpisodeDataset) -> bool:
@@ -181,21 +190,6 @@ def _fit_macros(dataset: EpisodeDataset) -> bool:
     led = (bead == steps["bead"]) & (target < beads) & (abs(side) == 1)
     alone = ~steps["macro_start"] & (bead == 0) & (target == 0)
     return bool(np.where(side == 0, alone, led).all())
-
-
-def _digest_faults(dataset: EpisodeDataset) -> Iterator[str]:
-    """Yield which columns of a file aren't those that were written, of those no replay gives."""
-    if dataset.rows is not None or dataset.parts:
-        return  # a part of a file has no digest
-    now, then = dataset.digests, dataset.attributes
-    if then.get("digest") != now["digest"]:
-        yield f"{dataset.path}: its starts and pulls don't match their digest"
-    if not isinstance(claims := then.get("given"), dict):
-        yield f"{dataset.path} has no digests of columns that nothing can make again"
-        return
-    for name in sorted({*now["given"], *claims}):
-        if claims.get(name) != now["given"].get(name):
-            yield f"{dataset.path}: column {name} doesn't match its digest"
 
 
 def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:

@@ -47,7 +47,8 @@ def columns_in(*parts: str) -> tuple[Column, ...]:
 
 
 STARTS = Schema("episodes", columns_in("starts"), "where an episode begins")
-EPISODES = Schema("episodes", columns_in("starts", "played", "planned", "goals"), "an episode")
+_OWN = ("starts", "played", "planned", "setups")
+EPISODES = Schema("episodes", columns_in(*_OWN, "goals"), "an episode")
 _STEP = "a state, the pull made in it, and what it brought"
 _PARTS = ("pulls", "macros", "frames", "labels")
 # names of columns that users add begin with the last word
@@ -56,7 +57,7 @@ MACROS = tuple(column.name for column in columns_in("macros"))
 LABELS = tuple(column.name for column in columns_in("labels"))  # of an adviser
 # of both forms, and under the digest of starts and pulls
 _CORE = {c.name for c in columns_in("starts", "played", "planned", "pulls") if not c.optional}
-_CORE |= {*MACROS}
+_CORE |= {*MACROS, *(c.name for c in columns_in("setups"))}
 _PLANNED = {c.name for c in columns_in("planned")}
 
 
@@ -66,13 +67,16 @@ def _kept(schema: Schema) -> Schema:
     return schema.only(*kept)
 
 
+# its digests are as long as tells episodes apart
+_DIGEST = columns_in("digests")[0]._replace(derived=lambda made: made.state_digests())
 RECORDED = _kept(EPISODES)
 PULLS = _kept(STEPS)._replace(row="a state and the pull made in it")
 (_BINS,) = columns_in("bins")
 _STORED = (*PULLS.columns, _BINS._replace(unit=f"max_force / {FORCE_BINS}"))
 # as files of recordings have them: forces in one of two columns
 STORED_PULLS = PULLS._replace(columns=tuple(c._replace(optional=c.name != "bead") for c in _STORED))
-FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, STORED_PULLS)}  # of files
+_STORED_RECORDED = RECORDED.extended(_DIGEST)
+FORMS = {"columns": (EPISODES, STEPS), "recording": (_STORED_RECORDED, STORED_PULLS)}  # of files
 
 
 def is_claim(column: Column) -> bool:
@@ -147,7 +151,18 @@ class Episodes(NamedTuple):
 
     def recording(self) -> "Episodes":
         """Return the same episodes as starts, pulls and all else that is given."""
-        return Episodes(*(table.only(*_kept(table.schema).names) for table in self))
+        if self.is_recording:
+            return self
+        kept = Episodes(*(table.only(*_kept(table.schema).names) for table in self))
+        own = {**kept.episodes, _DIGEST.name: self.state_digests()}
+        return kept._replace(episodes=Table(kept.episodes.schema.extended(_DIGEST), own))
+
+    def of_setup(self, setup: ArrayLike) -> "Episodes":
+        """Return the episodes with the column `setup`, one number or (n,)."""
+        column = columns_in("setups")[0]
+        numbers = np.broadcast_to(np.asarray(setup, np.int16), self.episodes.rows)
+        schema = self.episodes.schema.extended(column)
+        return self._replace(episodes=Table(schema, {**self.episodes, column.name: numbers}))
 
     def core(self) -> "Episodes":
         """Return the columns that both forms of every set have."""
@@ -176,7 +191,8 @@ class Episodes(NamedTuple):
         """Return the episodes, played again, with what nothing can make again of those stored."""
         tables = list[Table]()
         for made, own in zip(self, stored, strict=True):
-            names = [c.name for c in own.schema.columns if is_claim(c)]
+            given = (c for c in own.schema.columns if c.origin == "given")
+            names = [c.name for c in given if is_claim(c) or c.name not in made]
             claims = own.only(*names if made.rows == own.rows else ())
             schema = made.schema.extended(*claims.schema.columns)
             tables.append(Table(schema, {**made, **claims}))
@@ -313,12 +329,19 @@ class Episodes(NamedTuple):
         """
         if self.episodes.rows != other.episodes.rows:
             return [f"{other.episodes.rows} episodes, should be {self.episodes.rows}"]
+        called = range(self.episodes.rows) if numbers is None else numbers
+        return [
+            f"episode {called[row]}{f', step {step}' * (step >= 0)}: {name} differs"
+            for row, step, name in self.differing(other)
+        ]
+
+    def differing(self, other: "Episodes") -> list[tuple[int, int, str]]:
+        """Return the row, step and column of each of the `differences`; step -1 of an episode's."""
         one, other = _same_width([self, other])
-        called = range(one.episodes.rows) if numbers is None else numbers
         found: list[tuple[int, int, str]] = []
         for name in one.episodes.keys() & other.episodes.keys():
             rows = _differing(one.episodes, other.episodes, name)
-            found += [(row, -1, f"episode {called[row]}: {name} differs") for row in rows.tolist()]
+            found += [(row, -1, name) for row in rows.tolist()]
         # steps are compared where episodes have as many
         alike = np.flatnonzero(one.episodes["length"] == other.episodes["length"])
         if len(alike) < one.episodes.rows:
@@ -328,8 +351,8 @@ class Episodes(NamedTuple):
             rows = _differing(one.steps, other.steps, name)
             for row in rows[np.unique(owner[rows], return_index=True)[1]].tolist():
                 k, step = int(alike[owner[row]]), int(row - offsets[owner[row]])
-                found.append((k, step, f"episode {called[k]}, step {step}: {name} differs"))
-        return [text for *_, text in sorted(found)]
+                found.append((k, step, name))
+        return sorted(found)
 
     def codes_held(self, task: TaskConfig) -> tuple[Ids, Ids]:
         """Number the code of each state, and count for how many steps it has been shown.
@@ -395,6 +418,24 @@ class Episodes(NamedTuple):
         shown = Situation.shown(task, self.steps["visits"], goals)
         wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
         return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
+
+    def state_digests(self) -> NDArray[np.uint8]:
+        """Compute the first bytes of the SHA-256 of each episode: uint8 (n, 8).
+
+        It covers the start, all states with their codes, and the pulls; rewards and ends follow.
+        """
+        (own, steps), length = self, int(_DIGEST.shape[0])
+        found = np.zeros((own.rows, length), dtype=np.uint8)
+        for row, (first, end) in enumerate(pairwise(self.offsets.tolist())):
+            states, pulls = slice(first, end), slice(first, end - 1)
+            # codes of sets are padded to different widths, so zeros don't count
+            codes = [steps[name][states] for name in ("visits", "signs")]
+            parts = [own["start_qpos"][row], steps["observation"][states], steps["bead"][pulls]]
+            parts += [steps["force"][pulls], steps["crossings"][states]]
+            parts += [code[code != 0] for code in codes]
+            whole = b"".join(part.tobytes() for part in parts)
+            found[row] = np.frombuffer(hashlib.sha256(whole).digest()[:length], dtype=np.uint8)
+        return found
 
     def digests(self) -> list[bytes]:
         """Hash the start, goal and pulls of each episode; equal episodes have equal digests."""

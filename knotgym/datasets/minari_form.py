@@ -15,6 +15,7 @@ file; `minari_faults` compares both with the columns.
 
 import copy
 import errno
+import hashlib
 import json
 import os
 import re
@@ -25,7 +26,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium
@@ -62,6 +62,7 @@ _OF_PULLS = {  # arrays of pulls -> columns
     **{"terminations": "terminated", "truncations": "truncated"},
 }
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
+_SEALED, _COMPARED = "knotgym_digests", 8  # entry of metadata.json; episodes that are compared
 _COUNTED = ("dataset_size", "minari_version", "requirements")  # of the machine that wrote them
 # A chunk of pictures is a strip: a few pixel rows of eight consecutive frames, which differ little.
 # In a strip the same rows of the previous frame lie within gzip's window of 32 kB.
@@ -210,47 +211,81 @@ def write_minari(dataset: EpisodeDataset, data: Path) -> None:
     Raises:
         InvalidFile: the dataset has no metadata.
     """
+    statistics = _Statistics()
     with new_hdf5(data / MAIN, libver=("v110", "v110"), meta_block_size=_METADATA_BYTES) as file:
         rows = dataset.episodes.episodes.rows
-        told = Counts.over(_minari_episodes(dataset), "writing Minari's form", rows)
-        found = defaultdict[str, Statistics](Statistics)
+        told = Counts.over(_contents(dataset), "writing Minari's form", rows)
         for k, (attributes, arrays) in enumerate(told):
-            arrays |= _observations(dataset, k)
             _write_group(file, f"episode_{k}", attributes, arrays)
-            for name, values in arrays.items():
-                if name.startswith(("observations", "actions")) and values.dtype.kind == "f":
-                    found[name].add(values[: len(arrays["actions"])])
-    entries = _minari_entries(dataset)
-    entries["statistics"] = {
-        # the digits that tell one float32 from another
-        name: {what: [float(str(one)) for one in values] for what, values in own.found().items()}
-        for name, own in found.items()
-    }
+            statistics.add(arrays)
+    entries = {**_minari_entries(dataset), "statistics": statistics.found()}
     size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
     entries["dataset_size"] = round(size / 1e6, 1)
+    entries[_SEALED] = _seals(dataset, data / MAIN, entries)
     text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
     (data / METADATA).write_text(text, encoding="utf-8")
 
 
+class _Statistics:
+    """What to normalize by, of the arrays of episodes that are added."""
+
+    def __init__(self) -> None:
+        self._of = defaultdict[str, Statistics](Statistics)
+
+    def add(self, arrays: Arrays) -> None:
+        for name, values in arrays.items():
+            if name.startswith(("observations", "actions")) and values.dtype.kind == "f":
+                self._of[name].add(values[: len(arrays["actions"])])
+
+    def found(self) -> dict[str, dict[str, list[float]]]:
+        # the digits that tell one float32 from another
+        return {
+            name: {what: [float(str(one)) for one in own] for what, own in of.found().items()}
+            for name, of in self._of.items()
+        }
+
+
 def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
-    """Yield where Minari's files aren't what `write_minari` writes, if there are any."""
+    """Yield where Minari's files aren't those that `write_minari` wrote of these columns.
+
+    Their digests are in metadata.json, bound to those of the columns; a sample of episodes is
+    compared besides. Of files that an earlier version wrote, all are.
+    """
     data = dataset.path.parent
     main, described = data / MAIN, data / METADATA
     if not main.exists() and not described.exists():
         return
     try:
-        with TemporaryDirectory() as room:
-            write_minari(dataset, Path(room))
-            expected, found = (
-                common.read_json(path) for path in (Path(room) / METADATA, described)
-            )
-            for name in sorted({**expected, **found}.keys() - {*_COUNTED}):
-                if not _same_json(found.get(name), expected.get(name)):
-                    yield f"{described}: {name} isn't what follows from the episodes"
-            with h5py.File(Path(room) / MAIN) as right, h5py.File(main, locking=False) as stored:
-                yield from (f"{main}: {fault}" for fault in _different(stored, right))
+        found = common.read_json(described)
+        expected, sealed = json.loads(json.dumps(_minari_entries(dataset))), found.get(_SEALED)
+        for name in sorted({**expected, **found}.keys() - {*_COUNTED, "statistics", _SEALED}):
+            if not _same_json(found.get(name), expected.get(name)):
+                yield f"{described}: {name} isn't what follows from the episodes"
+        some = dataset.drawn(_COMPARED) if sealed is not None else dataset
+        statistics = _Statistics()
+        with h5py.File(main, locking=False) as file:
+            if len(file) != dataset.episodes.episodes.rows:
+                yield f"{main}: it has {len(file)} episodes"
+            told = Counts.over(some.numbers.tolist(), "comparing Minari's form")
+            for k, (attributes, arrays) in zip(told, _contents(some), strict=True):
+                statistics.add(arrays)
+                name = f"episode_{k}"
+                for fault in _different(file, name, attributes, arrays):
+                    yield f"{main}: {fault}"
+        if some is dataset and not _same_json(found.get("statistics"), statistics.found()):
+            yield f"{described}: statistics isn't what follows from the episodes"
+        if sealed is not None and sealed != _seals(dataset, main, found):
+            yield f"{data}: Minari's form isn't the one that was written with the episodes"
     except Exception as error:  # there is no end to what foreign bytes make h5py raise
         yield f"{data}: Minari's form can't be read: {one_line(error)}"
+
+
+def _seals(dataset: EpisodeDataset, main: Path, entries: Mapping[str, Any]) -> dict[str, str]:
+    """Return digests of the columns, of their file's attributes and of Minari's two files."""
+    own = {name: value for name, value in entries.items() if name != _SEALED}
+    text = json.dumps(own, sort_keys=True).encode()
+    columns = {name: str(dataset.attributes.get(name)) for name in ("digest", "expansion")}
+    return {**columns, MAIN: common.sha256(main), METADATA: hashlib.sha256(text).hexdigest()}
 
 
 def metadata_of(dataset: EpisodeDataset) -> MinariMetadata | None:
@@ -327,6 +362,12 @@ def data_files(data: Path) -> list[Path]:
     return [data / name for name in named if os.path.lexists(data / name)]
 
 
+def _contents(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], Arrays]]:
+    """Yield each episode's attributes and its arrays by path."""
+    for k, (attributes, arrays) in enumerate(_minari_episodes(dataset)):
+        yield attributes, arrays | _observations(dataset, k)
+
+
 def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], Arrays]]:
     """Yield each episode's attributes and its arrays by path, except the observations."""
     (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
@@ -364,7 +405,7 @@ def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], 
     for k in range(own.rows):
         pulls, states = slice(offsets[k], offsets[k + 1] - 1), slice(offsets[k], offsets[k + 1])
         attributes: dict[str, Any] = {
-            "id": k,
+            "id": int(dataset.numbers[k]),
             "total_steps": int(own["length"][k]),
             "policy": str(own["policy"][k]),
             "goal_gauss_code": str(goals[k]),
@@ -382,24 +423,34 @@ def _observations(dataset: EpisodeDataset, k: int) -> Arrays:
     return {f"observations/{name}": array for name, array in shown.items()}
 
 
-def _different(stored: h5py.File, right: h5py.File) -> Iterator[str]:
-    """Yield the groups and arrays of one file that aren't those of the other."""
-    names: list[set[str]] = [set(), set()]
-    for file, own in zip((stored, right), names, strict=True):
-        file.visit(own.add)
-    for name in sorted(names[0] ^ names[1]):
-        yield f"{name} is {'missing' if name in names[1] else 'not written by knotgym'}"
-    both = sorted(names[0] & names[1])
-    for name in Counts.over(both, "comparing Minari's form"):
-        one, other = stored[name], right[name]
-        same = dict(one.attrs) == dict(other.attrs)
-        if isinstance(other, h5py.Dataset):
-            # nothing outside the file is read, and nothing is unpickled
-            here = isinstance(one, h5py.Dataset) and not (one.external or one.is_virtual)
-            same &= here and one.dtype == other.dtype and one.shape == other.shape
-            same = same and one[()].tobytes() == other[()].tobytes()  # as NaN is none's equal
-        if not same:
-            yield f"{name} isn't that of the columns"
+def _different(
+    stored: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Arrays
+) -> Iterator[str]:
+    """Yield the arrays and attributes of an episode that aren't those of the columns."""
+    own: dict[str, Any] = {}
+    stored[name].visititems(own.__setitem__)
+    held = {path: one for path, one in own.items() if not isinstance(one, h5py.Group)}
+    for path in sorted(held.keys() ^ arrays.keys()):
+        yield f"{name}/{path} is {'missing' if path in arrays else 'not written by knotgym'}"
+    said = dict(stored[name].attrs)
+    said = {key: one.decode() if isinstance(one, bytes) else one for key, one in said.items()}
+    if said != attributes:
+        yield f"{name}: its attributes aren't those of the columns"
+    for path in sorted(held.keys() & arrays.keys()):
+        one, right = held[path], _stored(arrays[path])
+        # nothing outside the file is read, and nothing is unpickled
+        here = isinstance(one, h5py.Dataset) and not (one.external or one.is_virtual)
+        same = here and (one.dtype, one.shape) == (right.dtype, right.shape)
+        if not same or one[()].tobytes() != right.tobytes():  # NaN is none's equal
+            yield f"{name}/{path} isn't that of the columns"
+
+
+def _stored(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array as the file has it: text is encoded."""
+    if array.dtype.kind != "U":
+        return array
+    texts = np.strings.encode(array, "utf-8")
+    return texts.astype(h5py.string_dtype("utf-8", max(1, texts.dtype.itemsize)))
 
 
 # An episode has some twenty arrays, most of them small. For each of them h5py's own classes repeat
@@ -421,10 +472,7 @@ def _write_group(file: h5py.File, name: str, attributes: Mapping[str, Any], arra
 
 
 def _write_array(group: h5g.GroupID, name: bytes, array: NDArray[Any]) -> None:
-    if array.dtype.kind == "U":
-        texts = np.strings.encode(array, "utf-8")
-        array = texts.astype(h5py.string_dtype("utf-8", max(1, texts.dtype.itemsize)))
-    made = _CONTIGUOUS
+    array, made = _stored(array), _CONTIGUOUS
     if array.dtype == np.uint8:
         rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
         made = _properties()
@@ -459,9 +507,16 @@ _GROUP = _properties(h5p.GROUP_CREATE)
 
 
 def _same_json(found: Any, expected: Any) -> bool:
-    """Whether two entries are equal; texts of JSON are compared as what they hold."""
-    texts = all(isinstance(one, str) and one[:1] == "{" for one in (found, expected))
-    return bool(found == expected or (texts and json.loads(found) == json.loads(expected)))
+    """Whether two entries are equal; texts of JSON are compared as what they hold.
+
+    A keyword that an older specification of an environment lacks has its default.
+    """
+    if all(isinstance(one, str) and one[:1] == "{" for one in (found, expected)):
+        found, expected = json.loads(found), json.loads(expected)
+        if "kwargs" in expected:
+            usual = common.as_json(TaskConfig(task="tie"))
+            found["kwargs"] = {**usual, **(found.get("kwargs") or {})}
+    return bool(found == expected)
 
 
 @lru_cache(maxsize=16)

@@ -39,6 +39,7 @@ from knotgym.datasets import image_table
 from knotgym.datasets.episode_dataset import (
     STATES_DIGEST,
     EpisodeDataset,
+    joined_task,
     open_episodes,
     require_alike,
     write_episodes,
@@ -357,6 +358,10 @@ def _single_of(dataset: EpisodeDataset) -> Ids:
     A recording doesn't hold the start's crossings, so there the first with the goal's is returned.
     """
     own, steps = dataset.episodes
+    if "setup" in own:
+        sides = [(one.start_nx, one.goal_nx) for one in dataset.task.singles]
+        single = [sides.index((one.start_nx, one.goal_nx)) for one in dataset.tasks]
+        return np.array(single)[own["setup"]]
     goals = np.count_nonzero(own["goal_visits"], axis=1) // 2
     first = dataset.episodes.offsets[:-1]
     starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
@@ -474,10 +479,7 @@ def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
     """
     require_alike(datasets, _facts)
     first = datasets[0]
-    tasks = dict.fromkeys(name for one in datasets for name in one.task.tasks)
-    crossings = sorted({nx for one in datasets for nx in one.task.crossings})
-    all_: dict[str, Any] = {"task": tuple(tasks), "nx": tuple(crossings)}
-    joint = replace(first.task, **{name: own for name, own in all_.items() if len(own) > 1})
+    joint = joined_task([one.task for one in datasets])
     if joint != first.task:  # its environment can be made
         task_sides(replace(joint, states=str(first.states_path())))
     return joint

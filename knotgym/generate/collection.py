@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidFile, InvalidInput, as_json, differences
-from knotgym.control import PolicyConfig, compile_planning, make_policy
+from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, differences
+from knotgym.control import PolicyConfig, compile_planning, make_policy, replay
 from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
 from knotgym.generate.episode_configs import CollectConfig, plain_id
-from knotgym.generate.recordings import RECORDINGS, rebuilt
+from knotgym.generate.old_formats import old_recordings
 from knotgym.generate.results import reached, reference_scores
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
@@ -88,7 +88,7 @@ def collect(
     options: RunOptions,
     *,
     progress: Progress | None = None,
-    recorded: bool = False,
+    recorded: Path | None = None,
     columns: Callable[..., Mapping[str, Any]] | None = None,
 ) -> Path:
     """Collect a dataset and return its folder; a shard returns its journal.
@@ -98,7 +98,8 @@ def collect(
         out: Minari root to write to; None for Minari's own.
         options: how to execute the run.
         progress: where progress is shown.
-        recorded: rebuild the episodes from their recording, see `recordings`.
+        recorded: a file of recordings, among them one of the same episodes, whose pulls are made
+            again instead.
         columns: a function of a module, `(batch, ids) -> {name: values}`, that computes columns of
             your own of each state, of the ropes `ids` of an `EpisodeBatch`: numbers, (n, ...) each.
             They are stored as `info/NAME`, and nothing can make them again.
@@ -115,7 +116,7 @@ def collect(
         read_states(resolve_states(config.task.states), images=False)
 
     advisers = [replace(config.policy, policy="expert")] if config.labels else []
-    files = {RECORDINGS.name: RECORDINGS} if recorded else {}
+    files = {recorded.name: recorded} if recorded else {}
     if columns is not None:
         name = getattr(columns, "__qualname__", "<nothing>")
         if "<" in name or not inspect.isfunction(columns):
@@ -123,7 +124,7 @@ def collect(
         files[f"columns {name}"] = Path(inspect.getfile(columns))
     made_by = identity(config, files, also=advisers)
     plan = compile_planning if config.policy.plans else None
-    block = rebuilt if recorded else partial(_play, columns=columns)
+    block = partial(_repeat, recorded) if recorded else partial(_play, columns=columns)
     recipe = partial(_episodes_of, config, made_by, block)
     compiles = {"engine": config.task.engine, "plan": plan}
     begin = partial(run, compiles=compiles, count=reached, identity_in=run_facts)
@@ -205,6 +206,21 @@ def _play(
 ) -> Result:
     """Play a block of a collection's episodes."""
     return config.played(numbers, config.seed, columns).columns()
+
+
+def _repeat(recorded: Path, config: CollectConfig, numbers: range) -> Result:
+    """Play a block of a collection's episodes by the pulls of their recording.
+
+    Raises:
+        InvalidFile: there is no such recording, or it has fewer episodes.
+    """
+    _, stored = old_recordings(recorded)[config.dataset_id]
+    if numbers.stop > (rows := stored.episodes.rows):
+        name = config.dataset_id
+        raise InvalidFile(f"{name} is recorded with {rows} episodes, got {config.episodes}")
+    seeds = [Stream.EPISODE.derived_seed(config.seed, number) for number in numbers]
+    own = stored.select(np.arange(numbers.start, numbers.stop))
+    return replay(own, config.policy_task, seeds).columns()
 
 
 def _publish(

@@ -5,24 +5,27 @@
     {out}/knotgym/{task}-nx{nx}/{policy}-train-code[-...]-v0        split by code
     {out}/knotgym/suite.json, README.md                             what is known of each; the card
 
-Every dataset is an ordinary collection, see `collect`, or its pulls come from a recording, see
-`recordings`. This module makes them one after the other, and one card for all.
+Every dataset is an ordinary collection, see `collect`, or its pulls come from the recording that
+ships. This module makes them one after the other, and one card for all.
 """
 
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import knotgym
 from knotgym import common
 from knotgym.common import Failed, InvalidFile, InvalidInput, KnotgymError, one_line, require_output
-from knotgym.control import replay
+from knotgym.control import PolicyConfig, replay
 from knotgym.datasets import expanded, open_episodes, suite_card
 from knotgym.generate.collection import collect, require_collectable, run_facts
 from knotgym.generate.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
-from knotgym.generate.recordings import Recording, first_difference
+from knotgym.generate.old_formats import old_recordings
 from knotgym.generate.results import reference_scores
 from knotgym.rope import ENGINES
 from knotgym.runs import Progress, RunOptions
@@ -30,6 +33,7 @@ from knotgym.states import minari_root
 
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
+_RECORDINGS = Path(str(files("knotgym.generate") / "data" / "recordings.h5"))  # that ship
 _DRAWN = 8  # episodes of a finished set that are played again
 
 
@@ -54,15 +58,17 @@ def make_suite(
     """
     progress = progress or Progress(options.quiet)
     root = Path(out) if out is not None else minari_root()
-    folder, known = root / "knotgym", Recording.read_all() if config.recorded else {}
-    wanted = _recorded(config, known) if config.recorded else [*config.sets()]
+    folder = root / "knotgym"
+    wanted = _recorded(config) if config.recorded else [*config.sets()]
     for one in wanted:  # before anything is made
         require_collectable(one, root, options)
     _require_own_card(folder, options)
     for number, one in enumerate(wanted, 1):
         size = f"{one.steps:,} steps" if one.steps else f"{one.episodes} episodes"
         progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {size}")
-        collect(one, root, options, progress=progress, recorded=one.dataset_id in known)
+        is_known = config.recorded and one.dataset_id in old_recordings(_RECORDINGS)
+        recorded = _RECORDINGS if is_known else None
+        collect(one, root, options, progress=progress, recorded=recorded)
     sets = _described(config, root)
     _write_card(sets, config.seed, folder)
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
@@ -76,14 +82,16 @@ def make_suite(
     return folder
 
 
-def _recorded(config: SuiteConfig, known: Mapping[str, Recording]) -> list[CollectConfig]:
+def _recorded(config: SuiteConfig) -> list[CollectConfig]:
     """List the requested sets that are recorded, by the policy that acted, and the random ones of
     the same setups.
     """
-    every = replace(config, policies=None).sets()
+    every, known = replace(config, policies=None).sets(), old_recordings(_RECORDINGS)
     setups = {one.task for one in every if one.dataset_id in known}
     wanted = [
-        replace(one, policy=known[one.dataset_id].config.policy) if one.dataset_id in known else one
+        replace(one, policy=common.from_json(PolicyConfig, known[one.dataset_id][0]))
+        if one.dataset_id in known
+        else one
         for one in config.sets()
         if one.dataset_id in known or (one.policy.policy == "random" and one.task in setups)
     ]
@@ -139,8 +147,12 @@ def _describe_set(made: Path) -> dict[str, Any]:
         raise InvalidInput(f"{what} ({one_line(error)}); remove it") from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
     digests, agreement = dataset.digests, "no"
-    if recording := Recording.read_all().get(dataset.name):
-        first = first_difference(episodes, recording)
+    if dataset.name in (known := old_recordings(_RECORDINGS)):
+        _, recording = known[dataset.name]
+        some = recording.select(np.arange(min(rows.rows, recording.episodes.rows)))
+        same = episodes.select(np.arange(some.episodes.rows)).recording().differing(some)
+        first = next((row for row, *_ in same), None)
+        first = some.episodes.rows if first is None and some.episodes.rows < rows.rows else first
         agreement = "same" if first is None else f"differs from episode {first}"
         # what stepping gave besides, such as rewards: its digest was written with it
         stored = dataset.attributes.get("expansion")
@@ -150,7 +162,7 @@ def _describe_set(made: Path) -> dict[str, Any]:
             drawn = dataset.drawn(_DRAWN)
             if expanded(drawn, replay).episodes.differences(drawn.episodes):
                 agreement = "differs when played again: knotgym dataset verify says where"
-    files = [file for file in (made / "data").iterdir() if file.is_file()]
+    written = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
         **{name: getattr(task, name) for name in ("task", "nx", "split", "endless", "engine")},
         "states": task.states or "readable",
@@ -160,7 +172,7 @@ def _describe_set(made: Path) -> dict[str, Any]:
         "succeeded": int(rows["success"].sum()),
         "steps": int(rows["length"].sum()),
         **episodes.distinct(),
-        "bytes": sum(file.stat().st_size for file in files),
+        "bytes": sum(file.stat().st_size for file in written),
         "sha256": digests["digest"],
         "versions": versions,
         "recorded": agreement,

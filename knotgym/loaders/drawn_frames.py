@@ -28,10 +28,20 @@ from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import Ids, InvalidFile, InvalidInput, Table, Threads, atomic_write, require_own
+from knotgym.common import (
+    Ids,
+    InvalidFile,
+    InvalidInput,
+    Table,
+    Threads,
+    atomic_write,
+    code_sha256,
+    require_own,
+)
 from knotgym.datasets import EpisodeDataset
 from knotgym.envs import OBSERVATIONS, CanonicalFrames, Observer, TaskConfig
 
+_DRAWING = "rendering", "photos", "envs"  # rooms whose code decides how a picture looks
 _AT_ONCE = 256  # pictures drawn between two writes
 _BLOCK = 1024  # states gathered at once, about what a processor's cache holds
 
@@ -159,7 +169,8 @@ class DrawnFrames:
             "goals": Table.digest(episodes.only("goal_points", "length")),
             "picture": asdict(self._observer.picture),
             "looks": [one and asdict(one) for one in self._observer.appearances(goals)],
-            "versions": {"knotgym": knotgym.__version__, "opencv": cv2.__version__},
+            "code": [code_sha256(Path(knotgym.__file__).parent / room) for room in _DRAWING],
+            "opencv": cv2.__version__,
         }
         # repr stands in for values that JSON can't hold, such as the rope model of a picture
         text = json.dumps(decides, sort_keys=True, default=repr)

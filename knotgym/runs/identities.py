@@ -4,10 +4,8 @@ It is in the journal of a run and in the manifest of its output. A run can only 
 or recognized as finished if its identity is the same; otherwise the error names the differences.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from knotgym.common import (
     Mark,
     as_json,
     by_name,
+    code_sha256,
     differences,
     merged,
     read_json,
@@ -108,7 +107,7 @@ def versions() -> dict[str, str]:
     """
     return {
         "knotgym": knotgym.__version__,
-        "code": _code_sha256(),
+        "code": code_sha256(Path(knotgym.__file__).parent, "cli"),  # which changes no output
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
         "opencv": cv2.__version__,
@@ -124,14 +123,3 @@ def identity_of(out: Path, place: str | Callable[[Path], Any]) -> dict[str, Any]
         return {name: content[name] for name in FIELDS}
     except (AttributeError, OSError, ValueError, KeyError, TypeError):
         return None
-
-
-@cache
-def _code_sha256() -> str:
-    """Return the SHA-256 of this package's files, except `cli`, which can't affect the output."""
-    root, digest = Path(knotgym.__file__).parent, hashlib.sha256()
-    files = {path.relative_to(root).as_posix(): path for path in root.rglob("*.*")}
-    for name in sorted(files):
-        if not name.startswith("cli/") and "__pycache__" not in name and files[name].is_file():
-            digest.update(f"{name}\0".encode() + files[name].read_bytes() + b"\0")
-    return digest.hexdigest()

@@ -5,19 +5,22 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from pytest_types import Capture, Patch
 
-from knotgym.common import KnotgymError, Table, read_tables, write_tables
+from knotgym.common import KnotgymError, Table
 from knotgym.control import PolicyConfig
+from knotgym.datasets import EpisodeDataset, Episodes, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, Result, entries, evaluate, read_entry
+from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry
 from knotgym.generate.entries import Entry
 from knotgym.runs import RunOptions
 
 from ..small_job import knotgym
 
+OLD = Path(__file__).parents[1] / "data/845eceab/entry.h5"  # of that commit
 EPISODES = 6
 CONFIG = EvaluateConfig(
     policies=(PolicyConfig(policy="expert"), PolicyConfig(policy="random")),
@@ -75,8 +78,8 @@ def test_an_entry_claims_what_its_policy_s_module_says(tmp_path: Path, monkeypat
 def test_a_step_takes_few_bytes(tmp_path: Path, policy: str, most: int) -> None:
     config = replace(CONFIG, policies=(PolicyConfig(policy=policy),), episodes=32)
     evaluate(config, RunOptions(workers=1, quiet=True), record=tmp_path / "entry.h5")
-    pulls, fixed = entry_at(tmp_path / "entry.h5").pulls.rows, 16_000  # HDF5's own structures
-    assert (tmp_path / "entry.h5").stat().st_size < most * pulls + fixed
+    (one,), fixed = entry_at(tmp_path / "entry.h5").setups, 40_000  # HDF5's own structures
+    assert (tmp_path / "entry.h5").stat().st_size < most * one.steps.rows + fixed
     assert not rows_of(tmp_path / "entry.h5")[1]
 
 
@@ -89,39 +92,44 @@ def test_the_command_verifies_an_entry(made: Made, capsys: Capture) -> None:
 
 
 def forged(source: Path, path: Path, change: Callable[[dict[str, Any], Any, Any], Any]) -> Path:
-    """Write an entry with changes, and a digest that fits them."""
-    schemas = entries.ROWS, entries.PULLED
-    (rows, pulls), said = read_tables(source, *schemas, format=entries.FORMAT)
-    own, moved = ({name: column.copy() for name, column in one.items()} for one in (rows, pulls))
-    own, moved = change(said, own, moved) or (own, moved)
-    tables = Table(entries.ROWS, own), Table(entries.PULLED, moved)
-    del said["digest"]
-    said["digest"] = entries._digest(said, [tables[0]], [tables[1]])
-    write_tables(path, tables, said, format=entries.FORMAT, pack=True)
+    """Write an entry with changes, and digests that fit them."""
+    dataset = open_episodes(source)
+    said = {**dataset.attributes, **dataset.attributes["protocol"]}
+    own, steps = ({name: column.copy() for name, column in one.items()} for one in dataset.episodes)
+    own, steps = change(said, own, steps) or (own, steps)
+    facts = {name: said[name] for name in ("tasks", "claims")}
+    facts["protocol"] = {name: said[name] for name in ("config", "states")}
+    schemas = (one.schema for one in dataset.episodes)
+    made = Episodes(*(Table(*one) for one in zip(schemas, (own, steps), strict=True)))
+    write_episodes(path, [made], dataset.task, facts)
+    sealed = EpisodeDataset.seal({**open_episodes(path).attributes, "rope": said["rope"]})
+    with h5py.File(path, "r+") as file:
+        file.attrs["attributes"] = np.array(sealed.encode(), h5py.string_dtype("utf-8", 64))
+        file.attrs["rope"] = np.array(said["rope"].encode(), h5py.string_dtype("utf-8", 16))
     return path
 
 
-def _taken(own: Any, moved: Any, order: list[int]) -> Any:
-    lengths = own["length"].astype(np.int64)
-    ends = np.cumsum(lengths)
-    steps = np.concatenate([np.arange(ends[k] - lengths[k], ends[k]) for k in order])
+def _taken(own: Any, steps: Any, order: list[int]) -> Any:
+    ends = np.cumsum(own["length"] + 1)
+    rows = np.concatenate([np.arange(ends[k] - own["length"][k] - 1, ends[k]) for k in order])
     return (
         {name: column[order] for name, column in own.items()},
-        {name: column[steps] for name, column in moved.items()},
+        {name: column[rows] for name, column in steps.items()},
     )
 
 
 def _set(**task: Any) -> Callable[..., None]:
-    def change(said: dict[str, Any], own: Any, moved: Any) -> None:
+    def change(said: dict[str, Any], own: Any, steps: Any) -> None:
         said["config"]["task"] |= task
+        said["tasks"] = [{**one, **task} for one in said["tasks"]]
 
     return change
 
 
-def _longer(said: dict[str, Any], own: Any, moved: Any) -> Any:
+def _longer(said: dict[str, Any], own: Any, steps: Any) -> Any:
     end = int(own["length"][0])
     own["length"][0] += 1
-    return own, {name: np.insert(column, end, column[end - 1], 0) for name, column in moved.items()}
+    return own, {name: np.insert(column, end, column[end - 1], 0) for name, column in steps.items()}
 
 
 def _put(table: int, name: str, value: Any) -> Callable[..., None]:
@@ -149,7 +157,9 @@ FORGERIES: dict[str, Callable[..., Any]] = {
     "no number": _put(1, "force", np.nan),
     "bead": _put(1, "bead", 1000),
     "pull": _put(1, "bead", 77),
-    "claims": lambda said, own, moved: said.update(claimed=said["claimed"][1:]),
+    "success": _put(0, "success", False),
+    "return": _put(0, "return_", -3.0),
+    "claims": lambda said, own, moved: said.update(claims=said["claims"][1:]),
 }
 
 
@@ -178,6 +188,15 @@ def test_one_byte_changed_is_refused_or_without_effect(made: Made, tmp_path: Pat
             refused += 1
             continue
         assert entry.config == whole.config and entry.claimed == whole.claimed
-        for one, other in ((entry.rows, whole.rows), (entry.pulls, whole.pulls)):
-            assert all(np.array_equal(one[column], other[column]) for column in one)
+        for one, other in zip(entry.setups, whole.setups, strict=True):
+            assert other.differences(one) == []
     assert refused > 100
+
+
+def test_an_entry_is_a_dataset(made: Made, tmp_path: Path) -> None:
+    """Which goals failed can be looked up, and the old format is read."""
+    for words in ("show", "verify", "select --where success", "export --to columns", "page"):
+        out = () if words in ("show", "verify") else ("--out", tmp_path / f"{words[:4]}.html")
+        assert knotgym("dataset", *words.split(), made[0], *out) == 0, words
+    (results, faults), old = rows_of(OLD), read_entry(OLD)
+    assert old is not None and not faults and [one.successes for one in results] == [1, 0]

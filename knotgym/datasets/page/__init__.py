@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Array, Counts, InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.datasets.episode_verification import Replay, expanded
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import measures_of, points_of, read_table
 from knotgym.datasets.located import Located
@@ -42,14 +43,14 @@ _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 _SCRIPTS = ("rope.js", "plots.js", "page.js")
 
 
-def write_page(path: Path, found: Located) -> str:
-    """Write the page of datasets; return a one-line summary."""
-    data = _page_data(found.title, found)
+def write_page(path: Path, found: Located, replay: Replay) -> str:
+    """Write the page of datasets; return a one-line summary. `replay` plays those of recordings."""
+    data = _page_data(found.title, found, replay)
     path.write_text(_page_html(data), encoding="utf-8")
     return " ".join([f"{data['says']}, {path.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
-def _page_data(title: str, given: Located) -> dict[str, Any]:
+def _page_data(title: str, given: Located, replay: Replay | None = None) -> dict[str, Any]:
     """Collect everything that the page of datasets shows; the result can be written as JSON.
 
     The manifest of a run beside its states is shown too.
@@ -65,7 +66,7 @@ def _page_data(title: str, given: Located) -> dict[str, Any]:
         **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
     }
     if given.episodes:
-        data |= _episodes(given.episodes, notices, about)
+        data |= _episodes(given.episodes, notices, about, replay)
     if given.states is not None:
         found = _states(given.states, notices, about)
         if given.episodes and found["beads"] != data["beads"]:
@@ -185,9 +186,11 @@ def _shapes(
     }
 
 
-def _episodes(sources: Sequence[Path], notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
+def _episodes(
+    sources: Sequence[Path], notices: list[str], about: dict[str, Any], replay: Replay | None
+) -> dict[str, Any]:
     """Collect episodes of datasets, sampled so that they have at most MOST_FRAMES states."""
-    datasets = [columns_of(source) for source in sources]
+    datasets = [columns_of(source, recordings=True) for source in sources]
     every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
     lengths = np.concatenate([one.episodes.episodes["length"] for one in datasets]).tolist()
     frames = [min(length, MOST_STEPS) + 1 for length in lengths]
@@ -205,8 +208,13 @@ def _episodes(sources: Sequence[Path], notices: list[str], about: dict[str, Any]
         "steps": sum(lengths),
         **_versions(datasets[0].attributes.get("versions") or {}),
     }
-    told = Counts.over(rows, "episodes of the page")
-    return {"episodes": [_episode(*every[k]) for k in told], "beads": datasets[0].task.beads}
+    chosen = [[row for of, row in (every[k] for k in rows) if of is one] for one in datasets]
+    parts = [one.select(own) for one, own in zip(datasets, chosen, strict=True) if own]
+    if replay:
+        parts = [expanded(one, replay) if one.episodes.is_recording else one for one in parts]
+    shown = [(one, row) for one in parts for row in range(one.episodes.episodes.rows)]
+    told = Counts.over(shown, "episodes of the page", len(shown))
+    return {"episodes": [_episode(*one) for one in told], "beads": datasets[0].task.beads}
 
 
 def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
@@ -222,7 +230,7 @@ def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
     return {
         "set": dataset.name,
         "name": dataset.name.removeprefix("knotgym/"),
-        "number": row,
+        "number": int(dataset.numbers[row]),
         "policy": str(own["policy"][row]),
         "goal": str(gauss_codes(own["goal_visits"][row : row + 1])[0]),
         "split": dataset.task.split,
