@@ -63,8 +63,7 @@ def write_gallery(path: Path, shown: States | Sequence[Path]) -> None:
 
 
 def _write(path: Path, tiles: Sequence[Tile]) -> None:
-    # level 9 takes five times as long, for 2 % less
-    path.write_bytes(encode(_contact_sheet(tiles), 6))
+    path.write_bytes(encode(_contact_sheet(tiles)))
 
 
 def write_sheet(path: Path, found: "Located") -> str:

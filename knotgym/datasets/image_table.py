@@ -150,13 +150,14 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     kinds = APPEARANCES[drawn.look.name].own_columns
     images = {name for name, kind in kinds.items() if kind["type"] == "image"}
     own = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
+    grained = APPEARANCES[drawn.look.name].grained or drawn.look.noise > 0
     return {
         **_CODES.derive(rope),
         "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],
         "accepted": not Limits().faults(rope.quality, crossings.nx),
         "grade": grade_of(rope.quality.ease()),
         "quality": asdict(rope.quality),
-        "image": encode(drawn.image, APPEARANCES[drawn.look.name].compression),
+        "image": encode(drawn.image, grained=grained),
         **own,
     }
 
@@ -173,13 +174,21 @@ def parquet(rows: Any) -> bytes:
     return bytes(sink.getvalue())
 
 
-def encode(image: NDArray[np.uint8], level: int = 9) -> bytes:
+def encode(image: NDArray[np.uint8], *, grained: bool = False) -> bytes:
     """Encode a picture, uint8 (size, size, 3), RGB, or (size, size), as PNG.
 
-    At level 3 photos take a tenth of the time of level 9, and a tenth more room.
+    Flat colours are stored as they are, in runs: a thirtieth of the time of zlib's level 9, and an
+    eighth smaller. Where each pixel differs (`grained`), rows are stored as differences, at level
+    1: less than half the time of level 3, and a fourteenth larger.
     """
+    png, flags = cv2.IMWRITE_PNG_FILTER, [cv2.IMWRITE_PNG_COMPRESSION, 1]
+    if grained:
+        flags += [png, cv2.IMWRITE_PNG_FILTER_UP]
+    else:
+        runs = cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE
+        flags += [png, cv2.IMWRITE_PNG_FILTER_NONE, *runs]
     stored = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
-    done, data = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, level])
+    done, data = cv2.imencode(".png", stored, flags)
     if not done:
         raise InvalidFile(f"a picture is uint8 (size, size, 3), got {image.dtype} {image.shape}")
     return bytes(data)

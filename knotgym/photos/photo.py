@@ -52,7 +52,7 @@ class PhotoDrawer(Drawer):
             if shot := _drawn(rope, rng, camera, marked and attempt < _TRIES // 2):
                 return shot
         # `legible` has shown that this one can be read
-        return _clearest(rope, camera)
+        return _taken(rope, _clearest(rope, camera))
 
     def for_episode(self, points: Array, size: int, goal: int) -> Photo:
         # The camera is vertical and tape marks the base, so that picture and code agree. The scale
@@ -64,7 +64,12 @@ class PhotoDrawer(Drawer):
         return view.coloured(look, ground_of(look)[0], rng)
 
     def legible(self, points: Array, size: int) -> bool:
-        return _clearest(PhotoRope(points, size)).legible
+        # most that are refused show too small a region, which is known before anything is painted
+        rope = PhotoRope(points, size)
+        look = _clearest(rope)
+        view = PhotoView(rope, look)
+        region = view.region(2 * look.radius)
+        return bool(region) and painted(view, look, region, exposed=False).legible
 
 
 def photograph(
@@ -96,12 +101,12 @@ def photograph(
     return None
 
 
-def _clearest(rope: PhotoRope, camera: Camera = (0.0, 0.0)) -> Shot:
-    """Take the plainest photo: a narrow white rope on a dark surface, as large as the picture."""
+def _clearest(rope: PhotoRope, camera: Camera = (0.0, 0.0)) -> Photo:
+    """Return the plainest look: a narrow white rope on a dark surface, as large as the picture."""
     look = _framed(rope, camera, 0.0, 1.0, np.zeros(2))
     # as narrow as allowed, which leaves most background between strands
     width = WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale)
-    return _taken(rope, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
+    return replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220))
 
 
 def _drawn_camera(rng: Rng, tilt: float = TILT) -> Camera:

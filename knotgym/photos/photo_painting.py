@@ -267,14 +267,18 @@ def _lay(
     return hidden
 
 
-def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None) -> Shot:
+def painted(
+    view: PhotoView, look: Photo, region: float, rng: Rng | None = None, *, exposed: bool = True
+) -> Shot:
     """Paint the rope and what lies beside and on it on the ground, and measure the picture.
 
     Args:
         view: stamped with the radius of the rope.
         look: the appearance.
         region: as `PhotoView.region` measured it.
-        rng: draws the rope's colours; None to leave those of the appearance.
+        rng: draws the rope's colours, and a picture that can't be read is not exposed; None to
+            leave those of the appearance.
+        exposed: whether to add what lamp and camera do.
     """
     rope, (picture, texture, grain), beside = view.rope, ground_of(look), view.beside()
     if rng is not None:
@@ -309,7 +313,9 @@ def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None)
     line = view.curve[:: rope.parts].copy()
     line[:, 2] = rope.curve[:: rope.parts, 2]
     answers = view.at(view.over), rope.points, rope.crossings, line, strands
-    return Shot(_exposed(picture, look), look, *answers, contrast, order, region)
+    shot = Shot(picture, look, *answers, contrast, order, region)
+    seen = exposed and (rng is None or shot.legible)
+    return replace(shot, image=_exposed(picture, look)) if seen else shot
 
 
 def _exposed(picture: Array, look: Photo) -> Array:

@@ -34,7 +34,7 @@ class AppearanceKind:
         tilted: whether a tilted camera sees the ropes of a table; points are in its axes.
         columns: "package:file" of a TOML file of the columns that its tables have beside the
             others, in the notation of `knotgym/datasets/columns.toml`; "" for none.
-        compression: of the PNG files of a table, 1 to 9.
+        grained: whether each pixel differs from the next, which PNG files are stored by.
     """
 
     says: str
@@ -45,7 +45,7 @@ class AppearanceKind:
     obeys: bool = False
     tilted: bool = False
     columns: str = ""
-    compression: int = 9
+    grained: bool = False
 
     @cached_property
     def own_columns(self) -> dict[str, Any]:
@@ -73,7 +73,7 @@ APPEARANCES: dict[str, AppearanceKind] = {
         drawer="knotgym.photos.photo:PhotoDrawer",
         tilted=True,
         columns="knotgym.photos:photo_columns.toml",
-        compression=3,  # a tenth of the time of 9, and a tenth more room
+        grained=True,
     ),
 }
 

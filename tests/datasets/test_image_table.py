@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from synthetic_pictures import picture_rows
@@ -14,7 +15,7 @@ from synthetic_pictures import picture_rows
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.datasets import image_table as tables
 from knotgym.datasets import select
-from knotgym.datasets.image_table import decode, drawn_table, encode, read_table
+from knotgym.datasets.image_table import decode, drawn_table, encode, read_rows, read_table
 from knotgym.datasets.row_verification import _image_faults
 from knotgym.datasets.subsets import kept
 from knotgym.rendering import AppearanceConfig
@@ -102,6 +103,20 @@ def test_columns_of_another_type_missing_or_twice_are_refused(shard: Path, tmp_p
     ):
         with pytest.raises(InvalidFile, match=told):
             read_table(changed(shard, tmp_path, change))
+
+
+@pytest.mark.parametrize("grained", [False, True])
+def test_a_picture_is_stored_without_loss(grained: bool) -> None:
+    drawn = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    assert np.array_equal(decode(encode(drawn, grained=grained)), drawn)
+
+
+def test_a_picture_that_an_earlier_version_compressed_is_sound(shard: Path, tmp_path: Path) -> None:
+    drawn = decode(next(iter(read_rows(shard)))["image"])
+    levels = [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    packed = bytes(cv2.imencode(".png", drawn[..., ::-1], levels)[1])
+    faults = [*_image_faults(with_cell(shard, tmp_path, "image", "bytes", packed))]
+    assert [one for one in faults if "SHA-256" not in one] == []  # which is of the file's bytes
 
 
 def test_a_picture_that_would_fill_the_memory_is_refused() -> None:

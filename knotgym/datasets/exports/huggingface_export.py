@@ -37,7 +37,6 @@ from knotgym.states import SPLITS, States, read_states, repeated
 _OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't exported
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 _AT_ONCE = 256  # episodes converted at once
-_PNG_LEVEL = 6  # level 9 takes four times as long, for a twentieth less
 _KEPT = tuple(
     column._replace(name="points") if column.name == "observation" else column
     for column in STEPS.columns
@@ -212,7 +211,7 @@ def _write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
 
 def _encoded(picture: NDArray[np.uint8]) -> bytes:
     Counts.end_item()  # a step is written when its picture is, which takes longest
-    return encode(picture, _PNG_LEVEL)
+    return encode(picture)
 
 
 def _arrow_table(given: Table) -> Any:
