@@ -188,10 +188,8 @@ def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
             yield from _unlike(f"{name}.{inner}", found[inner], one)
     elif isinstance(right, (bytes, np.ndarray)):
         # the same picture may be compressed in other ways
-        shown = [
-            image_table.decode(one) if isinstance(one, bytes) else one for one in (found, right)
-        ]
-        if found is not right and not np.array_equal(*shown):
+        read: Any = image_table.decode if isinstance(right, bytes) else np.asarray
+        if not np.array_equal(read(found), read(right)):
             yield f"{name} is not the picture of points"
     elif found != right:
         near = {"rel_tol": _ROUNDING, "abs_tol": _ROUNDING}  # nothing is near infinity
