@@ -31,6 +31,11 @@ def altered(states: States, name: str, at: Any, value: Any) -> States:
     return states.replaced({name: values.astype("U") if values.dtype == object else values})
 
 
+def test_an_older_file_lacks_a_new_measure(pair: States) -> None:
+    names = {*pair.table} - {"quality/margin"}
+    assert [*_state_faults(States(pair.table.only(*names), pair.attributes))] == []
+
+
 @pytest.mark.parametrize(
     ("name", "at", "value", "fault"),
     [

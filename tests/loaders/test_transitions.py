@@ -134,6 +134,14 @@ def test_a_cache_holds_every_picture_once(tmp_path: Path) -> None:
     assert seen.shape[1:] == (16, 32, 3) and len([*(tmp_path / "c").iterdir()]) == 2
 
 
+def test_a_cache_is_not_read_by_other_code(tmp_path: Path, monkeypatch: Patch) -> None:
+    opened = Transitions(TINY["expert"], observation="pixels", cache=tmp_path)
+    opened.batch([0])
+    monkeypatch.setattr("knotgym.loaders.drawn_frames.code_sha256", lambda folder: "other")
+    Transitions(TINY["expert"], observation="pixels", cache=tmp_path).batch([0])
+    assert len([*tmp_path.rglob("*.npy")]) >= 2
+
+
 def test_a_changed_cut_or_linked_cache_is_one_line(tmp_path: Path) -> None:
     def opened() -> Transitions:
         return Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
