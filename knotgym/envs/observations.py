@@ -16,10 +16,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Ids, Kinds, Threads, padded
-from knotgym.topology import CodeArrays, GaussCode
+from knotgym.common import Ids, Kinds
+from knotgym.topology import GaussCode
 
 if TYPE_CHECKING:
+    from knotgym.common import Threads
     from knotgym.envs.marked import Marked
     from knotgym.envs.tasks import TaskConfig
     from knotgym.rendering import Appearance, PictureConfig
@@ -44,7 +45,7 @@ class Frames:
         goal_visits: int16 (G, width).
         pictures: draws frames: (n,) -> uint8 (n, views * size, size, 3 or 4).
         threads: that gather them; one by default.
-        block: rows that a thread gathers at once.
+        block: rows that a thread gathers at once; 0 for `Threads.FEW`.
     """
 
     ropes: NDArray[Any]
@@ -53,7 +54,7 @@ class Frames:
     goal_visits: NDArray[np.int16]
     pictures: Callable[[Ids], NDArray[np.uint8]]
     threads: Threads
-    block: int = Threads.FEW
+    block: int = 0
 
     def points(self, ids: Ids) -> NDArray[Any]:
         """Return the vertices of frames, as they are stored: (n, beads, 3), metres."""
@@ -66,6 +67,7 @@ class Frames:
     def marked(self, ropes: Ids, goals: Ids, *, canonical: bool = True) -> Marked:
         """Observe ropes in their canonical frames; or as they lie, only centred."""
         from knotgym.envs.marked import Marked
+        from knotgym.topology import CodeArrays
 
         texts = CodeArrays(np.asarray(self.codes(goals))).texts().tolist()
         wanted = [_parsed(text) for text in texts]  # which a stranger's numbers needn't be
@@ -156,7 +158,7 @@ class ObservationKind(NamedTuple):
         def _part(rows: slice) -> None:
             left[rows], right[rows] = half(frames, ropes[rows]), half(frames, goals[rows])
 
-        frames.threads.spread(_part, count, most=frames.block)
+        frames.threads.spread(_part, count, most=frames.block or frames.threads.FEW)
         return seen
 
     def halves(self, frames: Frames, ids: Ids) -> Any:
@@ -295,6 +297,7 @@ class Observer:
         Returns:
             uint8 (n, views * size, size, 3); 4 channels with depth. Views are stacked vertically.
         """
+        from knotgym.common import Threads
         from knotgym.rendering import Drawer, draw
 
         picture, ropes = self.picture, np.asarray(points)
@@ -319,6 +322,8 @@ class Observer:
 
         A visit is +label over and -label under, as in `GaussCode.visits`.
         """
+        from knotgym.common import padded
+
         return padded(codes, length).astype(np.int16)
 
     @staticmethod
