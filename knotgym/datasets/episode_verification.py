@@ -107,6 +107,7 @@ def _faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
     if faults := [*_file_faults(dataset)]:
         yield from faults
         return
+    yield from _protocol_faults(dataset)
     for _, one in dataset.setups():
         yield from _split_faults(one)
         yield from _duplicate_faults(one)
@@ -319,6 +320,22 @@ def _start_fault(batch: EpisodeBatch, qpos: Array, seed: int, named: int) -> str
     drawn = batch.drawn([int(seed)])
     same = drawn["start"][0] == named and np.abs(drawn["start_qpos"][0] - qpos).max() < _ROUNDING
     return "" if same else f"its start isn't row {named} of the states, as the column start says"
+
+
+def _protocol_faults(dataset: EpisodeDataset) -> Iterator[str]:
+    """Yield the setups of an entry whose episodes aren't all those of its protocol, in order."""
+    protocol = dataset.attributes.get("protocol")
+    config = protocol.get("config") if isinstance(protocol, dict) else None
+    if not isinstance(config, dict):
+        return
+    seed, count, rows = config.get("seed"), config.get("episodes"), dataset.episodes.episodes.rows
+    if type(seed) is not int or type(count) is not int or not 0 <= count <= rows:
+        yield f"{dataset.path}: its protocol has seed {seed!r} and {count!r} episodes of {rows}"
+        return
+    wanted = [Stream.EVALUATION_EPISODE.derived_seed(seed, number) for number in range(count)]
+    for number, (_, one) in enumerate(dataset.setups(), 1):
+        if one.episodes.episodes["seed"].tolist() != wanted:
+            yield f"{dataset.path}, setup {number}: its episodes aren't those of its protocol"
 
 
 def _start_faults(dataset: EpisodeDataset) -> Iterator[str]:

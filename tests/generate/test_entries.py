@@ -11,7 +11,7 @@ import pytest
 from pytest_types import Capture, Patch
 
 from knotgym.common import KnotgymError, Table
-from knotgym.control import PolicyConfig
+from knotgym.control import PolicyConfig, verify
 from knotgym.datasets import EpisodeDataset, Episodes, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry
@@ -198,5 +198,7 @@ def test_an_entry_is_a_dataset(made: Made, tmp_path: Path) -> None:
     for words in ("show", "verify", "select --where success", "export --to columns", "page"):
         out = () if words in ("show", "verify") else ("--out", tmp_path / f"{words[:4]}.html")
         assert knotgym("dataset", *words.split(), made[0], *out) == 0, words
+    for name in ("left out", "reordered", "seed"):  # in Python, too
+        assert verify(forged(made[0], tmp_path / f"{name}.h5", FORGERIES[name]))
     (results, faults), old = rows_of(OLD), read_entry(OLD)
     assert old is not None and not faults and [one.successes for one in results] == [1, 0]
