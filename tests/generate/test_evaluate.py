@@ -19,7 +19,6 @@ from knotgym.generate.evaluation import _report, evaluate
 from knotgym.generate.results import show
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions, identity
-from knotgym.states import States, write_states
 
 from ..small_job import knotgym
 
@@ -118,20 +117,6 @@ def test_policies_of_one_name_have_a_row_each() -> None:
     noisy = tuple(PolicyConfig(policy="noisy", noise=one) for one in (0.9, 1.0))
     results = evaluate(replace(config(episodes=1), policies=noisy), QUIET)
     assert "noisy (2)" in printed(results)
-
-
-def test_the_result_says_whose_states_were_used(states: States, tmp_path: Path) -> None:
-    write_states(tmp_path / "nx1.h5", states.take(np.flatnonzero(states.nx == 1)))
-    task = TaskConfig(task="unknot", states=str(tmp_path / "nx1.h5"), observation="state")
-    results = evaluate(config(tasks=("unknot",), task=replace(task, horizon=2), episodes=1), QUIET)
-    assert (results[0].start_states, results[0].goal_states) == ("own", "shipped")
-    assert "unknot nx 1: the state file has no plain loops" in printed(results)
-
-
-def test_a_result_says_in_which_view_the_policy_acted() -> None:
-    results = evaluate(config(task=replace(CHAIN, action="macro"), episodes=1), QUIET)
-    assert results[0].action == "macro" and "random (macro)" in printed(results)
-    assert "engine chain, not the reference engine" in printed(results, "chain")
 
 
 def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:

@@ -187,22 +187,3 @@ def test_a_path_that_is_no_folder_of_a_journal_is_one_line(kind: str, tmp_path: 
     with pytest.raises(KnotgymError, match="should be the folder of a journal; remove it"):
         Journal(path, RUN)
     assert (tmp_path / "mine/run.json").read_text() == "mine"
-
-
-@pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder"])
-def test_a_result_that_is_no_file_is_missing_and_replaced(kind: str, tmp_path: Path) -> None:
-    before = written(tmp_path / "j")
-    (tmp_path / "mine").write_bytes(before["part 1.npy"])
-    result = tmp_path / "j/part 1.npy"
-    result.unlink()
-    if kind == "a link":
-        result.symlink_to(tmp_path / "mine")
-    elif kind == "a pipe":
-        os.mkfifo(result)
-    else:
-        result.mkdir()
-    with Journal(tmp_path / "j", RUN) as journal:
-        assert "part 1" not in journal
-        if kind != "a folder":
-            journal["part 1"] = {"key": np.full(1000, 1), **RESULT}
-            assert content(tmp_path / "j") == before
