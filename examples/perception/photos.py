@@ -26,7 +26,7 @@ from strand_loss import strand_loss
 from knotgym.datasets import decode, read_rows
 from knotgym.learn import load_rope_reader, save_rope_reader
 from knotgym.photos import StrandNetwork, photograph
-from knotgym.topology import GaussCode, Symmetry, find_crossings, images
+from knotgym.topology import GaussCode, RopesCode, find_crossings
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
 Array = NDArray[np.float64]
@@ -40,14 +40,13 @@ def read(given: argparse.Namespace) -> None:
     for row in shown_rows(given.folder, given.split, given.count):
         code, image = GaussCode.parse(row["gauss_code_chiral"]), decode(row["image"])
         found = reader.read(image, given.views)
-        right = found is not None and found.code in images(code, Symmetry.REVERSE | Symmetry.REBASE)
+        right = found.code is not None and found.code.smallest() == RopesCode.of(code).smallest()
         factors = {**row["appearance"], **(row.get("photo") or {})}
         numbers = {name: one for name, one in factors.items() if isinstance(one, int | float)}
         known = {"nx": code.nx, "right": right, "accepted": row["accepted"]}
-        confidence = 0.0 if found is None else found.confidence
-        rows.append({**numbers, **known, "confidence": confidence})
+        rows.append({**numbers, **known, "confidence": found.confidence})
         if not right:
-            missed.append((image, str(code), "lost" if found is None else str(found.code)))
+            missed.append((image, str(code), str(found.code or found.reason)))
     print("nx  pictures   right  accepted  right   of confidence above 0.5   right")
     groups = sorted({row["nx"] for row in rows})
     for name, own in [*((nx, [r for r in rows if r["nx"] == nx]) for nx in groups), ("all", rows)]:

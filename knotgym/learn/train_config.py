@@ -1,10 +1,11 @@
-"""The configurations of `knotgym train`, which can be read without torch."""
+"""The configurations of `knotgym train` and `knotgym read`, which can be read without torch."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from knotgym.common import Distinct, InvalidInput, Mark, Seed, configuration
+from knotgym.learn.card import ROPE_READER
 
 HEADS = 4  # of the attention of a clone
 
@@ -81,3 +82,16 @@ class CloneConfig(TrainConfig):
             raise InvalidInput(
                 f"width must be a multiple of {HEADS} attention heads, got {self.width}"
             )
+
+
+@configuration
+class ReadConfig:
+    """How `knotgym read` reads photos.
+
+    Attributes:
+        views: mirror images and quarter turns of each photo that are read, 1 to 8.
+        weights: folder of a reader of ropes, or the one that ships.
+    """
+
+    views: Annotated[int, Field(ge=1, le=8)] = 4
+    weights: str = ROPE_READER

@@ -1,23 +1,18 @@
-"""Read the Gauss code off a picture of a rope of any one colour; no hue is used.
+"""Read Gauss codes off photos of rope of any colour: open or closed, one or several.
 
-A network finds the strands and, at crossings, which is the upper one (`strand_network`); points
-on them are linked to a closed line, whose crossings give the code. Mirror images and quarter turns
-of the picture are read too, and their fields averaged.
+A network finds the strands and, at crossings, which is the upper one (`strand_network`); the lines
+that these fields hold (`strand_lines`) cross each other, which gives the code. Mirror images and
+quarter turns of the picture are read too, and their fields averaged. A picture is read at several
+scales, for the network saw ropes 3 to 12 pixels wide; the reading with the best confidence counts.
 
-Points are taken from the ridges of the lifted fields, each with the direction of its strand. A
-point has two ends, one on either side, and every end is linked to one end of another point: the
-cheapest links first, where short, straight and evenly bent ones are cheap. So each point has two
-neighbours, and following them gives closed lines. Two strands that cross share places, but not
-directions, so links between them are dear. Places are in cells, x right and y down; the centre of
-cell (row, column) is (column, row).
-
-After a change run `pytest tests/photos/test_rope_reader.py`: drawn lines must be
-walked through their crossings, fields of turned pictures be turned back, and photos be read.
+After a change run `pytest tests/photos/test_rope_reader.py`: drawn lines must be walked through
+their crossings, fields of turned pictures be turned back, and photos be read.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,224 +20,91 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common import Array, Ids, InvalidInput, inner, kernel
+from knotgym.common import Array, InvalidInput
+from knotgym.photos.strand_lines import Line, lines_in
 from knotgym.photos.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
-from knotgym.topology import Crossings, GaussCode, find_crossings
-
-# Chosen on training pictures, one by one. No file depends on them: after a change, ropes must be
-# read as docs/perception.md says.
-_LEAST = 0.3  # response of a point
-_MOST = 6000  # candidates, at most; a picture with more shows no rope
-# Of two points nearer than this, the weaker is dropped: cells, and radians.
-_NEAR, _ALIKE = 1.3, 0.35
-_REACH = 9.0  # length of a link at most, cells
-_SWEEPS = 8  # over all pairs of links, at most
-_ROUNDS = 20  # times that loose points are dropped, at most
-_BEND = 2.5  # cost of a turn of one radian, cells
-_SWERVE = 3.0  # cost of a link that doesn't point in the direction of both ends: share per radian^2
+from knotgym.topology import GaussCode, RopesCode, find_ropes_crossings, knot_type
 
 # Pixels: pictures are brought to this side, as the network saw no other in training. At 1,024 it
 # reads 1 of 10 that it reads 10 of at 256; of 24 pictures drawn at 512 it reads 23, shrunk or not.
 SIDE = 256
 VIEWS = 8  # mirror images and quarter turns of a picture
+# Chosen on drawn photos and on mBEST's S1 0 to 44 (docs/photos.md has what came of it).
+_SCALES = (1.0, 0.8, 0.65, 0.5)  # of the picture's longer side
+_FEW = 2  # views at scales that are only looked at
+_SURE = 0.7  # confidence at which no other scale is looked at
 _LOOP = 6.0  # length of the smallest loop, cells
-_SHORT = 8  # points; fewer are no rope
-_CROWDED = 1200  # points; more aren't a rope's
-_BESIDE = [-2, -1, 0, 1, 2]  # points of the line that it reaches
+_TIP = 2.5  # points at a loose end, where a crossing is the end lying on a strand
+_EDGE = 6.0  # a loose end nearer to the edge of the picture is where the rope leaves it, cells
+_SMALLER = 0.75  # factor on the confidences of the other scales
+_ALTERNATIVE = 0.8  # share of the best confidence at which another reading forbids a closed code
 
 
-@kernel
-def _ridge_points(lines: NDArray[np.float32]) -> Array:
-    """Return points on the ridges of fields.
+@dataclass(frozen=True, eq=False)
+class Rope:
+    """A rope in a picture.
 
-    Args:
-        lines: float32 (orientations, h, w), in [0, 1].
-
-    Returns:
-        float64 (n, 4): x, y, direction in radians, and response.
+    Attributes:
+        closed: whether it has no ends.
+        gauss_code: its visits; labels are those of the picture, from 1 in order of first visit.
+        confidence: a score in [0, 1], higher where its code is surer to be right.
+        knot: knot type of a closed rope, of its crossings with itself; None if it is open.
+        line: float64 (n, 2), its centre line, x and y in pixels.
     """
-    count, h, w = lines.shape
-    found = np.empty((_MOST, 4))
-    n = 0
-    for k in range(count):
-        angle = k * np.pi / count
-        across_x, across_y = -np.sin(angle), np.cos(angle)
-        for row in range(h):
-            for column in range(w):
-                here = lines[k, row, column]
-                if here < _LEAST or n == _MOST:
-                    continue
-                left = _at(lines, k, column - across_x, row - across_y)
-                right = _at(lines, k, column + across_x, row + across_y)
-                if here < left or here <= right:
-                    continue
-                # the top of the parabola through the three responses
-                aside = 0.5 * (right - left) / max(2 * here - left - right, 1e-6)
-                less, more = lines[k - 1, row, column], lines[(k + 1) % count, row, column]
-                turn = 0.5 * (more - less) / max(2 * here - less - more, 1e-6)
-                found[n, 0] = column + min(max(aside, -0.5), 0.5) * across_x
-                found[n, 1] = row + min(max(aside, -0.5), 0.5) * across_y
-                found[n, 2] = angle + min(max(turn, -0.5), 0.5) * np.pi / count
-                found[n, 3] = here
-                n += 1
-    found = found[:n]
-    found = found[np.argsort(-found[:, 3])]
-    kept = np.empty(n, np.int64)
-    m = 0
-    for i in range(n):
-        new = True
-        for j in range(m):
-            k = kept[j]
-            dx, dy = found[i, 0] - found[k, 0], found[i, 1] - found[k, 1]
-            if dx * dx + dy * dy < _NEAR * _NEAR:
-                off = abs(found[i, 2] - found[k, 2]) % np.pi
-                if min(off, np.pi - off) < _ALIKE:
-                    new = False
-                    break
-        if new:
-            kept[m] = i
-            m += 1
-    return found[kept[:m]]
+
+    closed: bool
+    gauss_code: str
+    confidence: float
+    knot: str | None
+    line: Array
+
+    @property
+    def crossings(self) -> int:
+        """The number of crossings that it passes."""
+        return len({word.strip("+-") for word in self.gauss_code.split(",") if word})
 
 
-@inner
-def _link_cost(points: Array, i: int, j: int) -> float:
-    """Return the cost of linking end i to end j, cells; end 2 k + 1 of point k is that ahead."""
-    a, b = i // 2, j // 2
-    one, other = (1.0 if i % 2 else -1.0), (-1.0 if j % 2 else 1.0)
-    # directions in which the rope leaves the first point and arrives at the second
-    ax, ay = one * np.cos(points[a, 2]), one * np.sin(points[a, 2])
-    bx, by = other * np.cos(points[b, 2]), other * np.sin(points[b, 2])
-    dx, dy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-    length = np.sqrt(dx * dx + dy * dy)
-    turn = np.arccos(min(max(ax * bx + ay * by, -1.0), 1.0))
-    # an even bend leads along the middle of both directions
-    mx, my = ax + bx, ay + by
-    swerve = 0.0
-    if length > 1e-6:
-        swerve = abs(np.arctan2(mx * dy - my * dx, mx * dx + my * dy))
-    return length * (1 + _SWERVE * swerve * swerve) + _BEND * turn
-
-
-@kernel
-def _link(points: Array) -> tuple[Ids, Array]:
-    """Link the ends of points, the cheapest first.
-
-    Returns:
-        int64 (2 n,), the end that each end is linked to, -1 for none; float64 (2 n,), the costs.
-    """
-    n = len(points)
-    most = 120 * n + 1
-    first, second, costs = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
-    m = 0
-    for a in range(n):
-        for b in range(a + 1, n):
-            dx, dy = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1]
-            if dx * dx + dy * dy > _REACH * _REACH:
-                continue
-            for i in range(2 * a, 2 * a + 2):
-                for j in range(2 * b, 2 * b + 2):
-                    cost = _link_cost(points, i, j)
-                    if cost < 2 * _REACH and m < len(costs):
-                        first[m], second[m], costs[m] = i, j, cost
-                        m += 1
-    dear = np.argsort(costs[:m])
-    alive = np.ones(n, np.bool_)
-    partner, paid = np.full(2 * n, -1, np.int64), np.zeros(2 * n)
-    for _ in range(_ROUNDS):
-        partner[:] = -1
-        for k in dear:
-            i, j = first[k], second[k]
-            if partner[i] < 0 and partner[j] < 0 and alive[i // 2] and alive[j // 2]:
-                partner[i], partner[j] = j, i
-                paid[i] = paid[j] = costs[k]
-        # a point with a loose end was found twice: of those near each other, drop the weakest
-        loose = alive & ((partner[::2] < 0) | (partner[1::2] < 0))
-        if not loose.any():
-            break
-        for a in np.flatnonzero(loose)[::-1]:  # the weakest first
-            if loose[a]:
-                alive[a] = False
-                for b in range(n):
-                    dx, dy = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1]
-                    if dx * dx + dy * dy < _REACH * _REACH:
-                        loose[b] = False
-    return partner, paid
-
-
-@kernel
-def _exchange(points: Array, partner: Ids, paid: Array) -> None:
-    """Exchange the ends of two links, in place, as long as that makes them cheaper together."""
-    for _ in range(_SWEEPS):
-        better = False
-        for i in range(len(partner)):
-            for j in range(i + 1, len(partner)):
-                one, other = partner[i], partner[j]
-                if one < 0 or other < 0 or one == j or i // 2 == j // 2 or one // 2 == other // 2:
-                    continue
-                dx = points[i // 2, 0] - points[j // 2, 0]
-                dy = points[i // 2, 1] - points[j // 2, 1]
-                if dx * dx + dy * dy > _REACH * _REACH:
-                    continue
-                left, right = _link_cost(points, i, j), _link_cost(points, one, other)
-                if left + right < paid[i] + paid[j] - 1e-6:
-                    partner[i], partner[j], partner[one], partner[other] = j, i, other, one
-                    paid[i] = paid[j] = left
-                    paid[one] = paid[other] = right
-                    better = True
-        if not better:
-            return
-
-
-@kernel
-def _longest_line(partner: Ids) -> Ids:
-    """Follow links from end to end; return the points of the longest line that closes, int64."""
-    n = len(partner) // 2
-    order, longest = np.empty(n, np.int64), np.empty(0, np.int64)
-    seen = np.zeros(n, np.bool_)
-    for start in range(n):
-        # a point is left by the end across from that at which it was reached
-        m, point, after = 0, start, 2 * start
-        while after >= 0 and not seen[point]:
-            seen[point] = True
-            order[m] = point
-            m += 1
-            after = partner[after ^ 1]
-            point = after // 2
-        if after >= 0 and point == start and m > len(longest):
-            longest = order[:m].copy()
-    return longest
-
-
-@inner
-def _at(lines: NDArray[np.float32], k: int, x: float, y: float) -> float:
-    """Interpolate one field between cells."""
-    _, h, w = lines.shape
-    column, row = int(np.floor(x)), int(np.floor(y))
-    dx, dy = x - column, y - row
-    out = 0.0
-    for r in range(2):
-        for c in range(2):
-            if 0 <= row + r < h and 0 <= column + c < w:
-                weight = (dy if r else 1 - dy) * (dx if c else 1 - dx)
-                out += weight * lines[k, row + r, column + c]
-    return out
-
-
-class RopeReading(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class PhotoReading:
     """What a picture shows.
 
     Attributes:
-        code: Gauss code with chirality, from the white base bead in the direction marked there;
-            without such a mark from anywhere, in either direction.
-        confidence: a score in [0, 1], higher where the code is surer to be right.
-        line: float64 (n, 3), the rope's centre line from the base bead: x and y in pixels, and a
-            level, which is 1 on the upper strand of a crossing, -1 on the lower one, 0 elsewhere.
+        ropes: the longest first.
+        code: the code of them all, the smallest of all directions and starts; None without a rope.
+        confidence: a score in [0, 1]; that of the least sure rope.
+        places: float64 (n, 2), the crossings in order of labels, x and y in pixels.
+        votes: float64 (n,), how sure it is which strand is on top there, in [0, 1].
+        over: float64 (n, 2), unit vectors along the upper strands.
+        loose: float64 (m, 2), the loose ends, pixels.
+        reason: why no closed code is given, "" where one is.
     """
 
-    code: GaussCode
-    confidence: float
-    line: Array
+    ropes: tuple[Rope, ...] = ()
+    code: RopesCode | None = None
+    confidence: float = 0.0
+    places: Array = field(default_factory=lambda: np.empty((0, 2)))
+    votes: Array = field(default_factory=lambda: np.empty(0))
+    over: Array = field(default_factory=lambda: np.empty((0, 2)))
+    loose: Array = field(default_factory=lambda: np.empty((0, 2)))
+    reason: str = "no rope"
+
+    @property
+    def crossings(self) -> int:
+        """The number of crossings."""
+        return len(self.places)
+
+    @property
+    def closed(self) -> bool:
+        """Whether there is a rope and none has ends."""
+        return bool(self.ropes) and all(one.closed for one in self.ropes)
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Everything but lines and places, as JSON has it."""
+        names = ("closed", "crossings", "gauss_code", "confidence", "knot")
+        ropes = [{name: getattr(one, name) for name in names} for one in self.ropes]
+        whole = {"crossings": self.crossings, "closed": self.closed, "reason": self.reason or None}
+        return {"ropes": ropes, **whole}
 
 
 class RopeReader:
@@ -251,47 +113,64 @@ class RopeReader:
     def __init__(self, network: StrandNetwork) -> None:
         self.network = network.eval()
 
-    def read(self, picture: NDArray[np.uint8], views: int = VIEWS) -> RopeReading | None:
-        """Read a picture of any size.
+    def read(
+        self, picture: NDArray[np.uint8], views: int = 4, scales: Sequence[float] = _SCALES
+    ) -> PhotoReading:
+        """Read a picture of any size and shape.
 
         Args:
-            picture: uint8 (side, side, 3), RGB.
+            picture: uint8 (height, width, 3), RGB, or (height, width), grey.
             views: mirror images and turns that are read, 1 to VIEWS; fewer are faster.
-
-        Returns:
-            None if no closed line is found.
+            scales: of the picture in what the network sees, the first with all views. The others
+                are looked at while none is sure.
 
         Raises:
             InvalidInput: it isn't such a picture, or there are no such views.
         """
         picture = np.asarray(picture)
-        side = len(picture) if picture.ndim else 0
-        if picture.shape != (side, side, 3) or not side or picture.dtype != np.uint8:
+        if picture.ndim == 2:
+            picture = np.repeat(picture[..., None], 3, axis=2)
+        if (
+            picture.ndim != 3
+            or picture.shape[2] != 3
+            or not picture.size
+            or picture.dtype != np.uint8
+        ):
             raise InvalidInput(
-                "a picture must be uint8 of shape (side, side, 3), RGB, got"
+                "a picture must be uint8 of shape (height, width, 3), RGB, or (height, width), got"
                 f" {picture.dtype} {picture.shape}"
             )
         if not 1 <= views <= VIEWS:
             raise InvalidInput(f"views must be from 1 to {VIEWS}, got {views}")
-        # the mean over the area of a pixel, where bilinear interpolation would skip pixels
-        method = cv2.INTER_AREA if side > SIDE else cv2.INTER_LINEAR
-        seen = cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=method)
-        with inference():
-            fields = _averaged(self.network, torch.from_numpy(seen).permute(2, 0, 1)[None], views)
-        found = _line_in(fields)
-        if found is None:
-            return None
-        line, confidence = found
-        base = np.array([_bilinear(fields.base[None], x, y)[0] for x, y in line[:, :2]])
-        start = int(base.argmax())
-        step = line[(start + 1) % len(line), :2] - line[start - 1, :2]
-        if step @ _bilinear(fields.along, *line[start, :2]) < 0:
-            line, base, start = line[::-1], base[::-1], len(line) - 1 - start
-        line, base = (np.roll(one, -start, axis=0) for one in (line, base))
-        # the middle of the response lies between points
-        line[0, :2] = np.average(line[_BESIDE, :2], axis=0, weights=base[_BESIDE])
-        line[:, :2] = (line[:, :2] + 0.5) * CELL * side / SIDE
-        return RopeReading(_crossings_of(line).code, confidence, line)
+        found = list[PhotoReading]()
+        for scale in scales:
+            seen, shift, step = _placed(picture, scale)
+            with inference():
+                tensor = torch.from_numpy(seen).permute(2, 0, 1)[None]
+                fields = _averaged(self.network, tensor, views if not found else min(views, _FEW))
+            found.append(_reading(fields, picture.shape, shift, step))
+            if found[-1].confidence >= _SURE:
+                break
+        return _best(found)
+
+
+def _best(found: Sequence[PhotoReading]) -> PhotoReading:
+    """Choose among the readings of one picture at several scales, that with all views first.
+
+    A closed code that another reading contradicts is withheld.
+    """
+    # with fewer views and fewer pixels a confidence says less
+    scores = [one.confidence * (_SMALLER if k else 1.0) for k, one in enumerate(found)]
+    best = found[int(np.argmax(scores))]
+    others = [
+        one.confidence for one, score in zip(found, scores, strict=True)
+        if one.code and best.code and one.code.smallest() != best.code.smallest()
+        and score >= _ALTERNATIVE * max(scores)
+    ]  # fmt: skip
+    if best.closed and others:
+        reason = f"two readings, {best.confidence:.1f} and {max(others):.1f}"
+        return PhotoReading(confidence=best.confidence, reason=reason)
+    return best
 
 
 @contextmanager
@@ -310,6 +189,27 @@ def inference() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
+def _placed(picture: NDArray[np.uint8], scale: float) -> tuple[NDArray[np.float32], Array, float]:
+    """Put a picture into the middle of a square of SIDE pixels.
+
+    Returns:
+        float32 (SIDE, SIDE, 3), where beside the picture is the median colour of its border; the
+        picture's upper left corner in it, (2,), x and y; and its pixels for each of the picture's.
+    """
+    height, width = picture.shape[:2]
+    step = scale * SIDE / max(height, width)
+    size = max(round(width * step), 1), max(round(height * step), 1)
+    # the mean over the area of a pixel, where bilinear interpolation would skip pixels
+    method = cv2.INTER_AREA if step < 1 else cv2.INTER_LINEAR
+    small = cv2.resize(picture.astype(np.float32), size, interpolation=method)
+    border = np.concatenate([small[0], small[-1], small[:, 0], small[:, -1]])
+    square = np.empty((SIDE, SIDE, 3), np.float32)
+    square[:] = np.median(border, axis=0)
+    left, top = (SIDE - size[0]) // 2, (SIDE - size[1]) // 2
+    square[top : top + size[1], left : left + size[0]] = small
+    return square, np.array([left, top], float), step
+
+
 def _averaged(network: StrandNetwork, picture: Tensor, views: int) -> Fields:
     """Find strands in a picture (1, 3, side, side), averaged over the first views of eight.
 
@@ -321,7 +221,7 @@ def _averaged(network: StrandNetwork, picture: Tensor, views: int) -> Fields:
         seen = torch.flip(picture, (3,)) if flip else picture
         found.append(_turned_back(network(torch.rot90(seen, turns, (2, 3))), turns, bool(flip)))
     mean = Fields(*(torch.stack(part).mean(0)[0] for part in zip(*found, strict=True)))
-    mean = mean._replace(lines=torch.sigmoid(mean.lines), base=torch.sigmoid(mean.base))
+    mean = mean._replace(lines=torch.sigmoid(mean.lines))
     return Fields(*(part.numpy() for part in mean))
 
 
@@ -343,67 +243,128 @@ def _turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
     return Fields(lines, upper, base, along)
 
 
-def _line_in(fields: Fields) -> tuple[Array, float] | None:
-    """Walk along the rope, and lift it at its crossings.
-
-    Args:
-        fields: of one picture, as `_averaged` returns them.
-
-    Returns:
-        float64 (n, 3), cells, a closed line and its levels; and a score of its code by its least
-        certain crossing and by the share of the points found that it passes. None if no line
-        closes.
-    """
-    points = _ridge_points(fields.lines)
-    if len(points) > _CROWDED:
-        return None
-    partner, paid = _link(points)
-    _exchange(points, partner, paid)
-    own = _longest_line(partner)
-    if len(own) < _SHORT:
-        return None
-    line = _smooth(points[own, :2])
-    if len(line) < _SHORT:
-        return None
-    flat = _crossings_of(np.column_stack([line, np.zeros(len(line))]))
-    # per crossing, the doubled directions of both strands, against that of the upper one
-    margin, level = 1.0, np.zeros(len(line))
-    for over, under, position in zip(flat.over_place, flat.under_place, flat.position, strict=True):
-        one, other = (_doubled(line, int(place)) for place in (over, under))
-        between = one - other
-        seen = _bilinear(fields.upper, position[0], -position[1])
-        vote = float(seen @ between / max(np.hypot(*between), 1e-6))
-        margin = min(margin, abs(vote))
-        for place, lift in ((over, vote), (under, -vote)):
-            level[[int(place) % len(line), (int(place) + 1) % len(line)]] = np.sign(lift)
-    lifted, passed = np.column_stack([line, level]), len(own) / len(points)
-    score = margin * passed**4 * 0.99 ** _crossings_of(lifted).nx
-    return lifted, float(np.clip(score, 0.0, 1.0))
+def _reading(fields: Fields, shape: Sequence[int], shift: Array, step: float) -> PhotoReading:
+    """Read the fields of a picture that was placed as `_placed` says."""
+    height, width = shape[:2]
+    frame = np.append(shift, shift + step * np.array([width, height])) / CELL - 0.5
+    lines, passed = lines_in(fields.lines, frame)
+    lines = [_without_loops(line) for line in lines]
+    lines = [line for line in lines if len(line.points) > 3]
+    if not lines:
+        return PhotoReading()
+    code, places, votes, over = _crossed(lines, fields.upper)
+    score = passed**4 * 0.99**code.nx * 0.8 ** (len(lines) - 1)
+    ropes = []
+    for k, line in enumerate(lines):
+        own = [abs(visit) - 1 for visit in code.visits[k]]
+        sure = float(np.clip(score * votes[own].min(initial=1.0), 0, 1))
+        knot = _knot(code.rope(k)) if line.closed else None
+        pixels = ((line.points + 0.5) * CELL - shift) / step
+        ropes.append(Rope(line.closed, code.texts[k], round(sure, 3), knot, pixels))
+    tips = [rope.line[[0, -1]] for rope in ropes if not rope.closed]
+    loose = np.concatenate(tips) if tips else np.empty((0, 2))
+    confidence = min(rope.confidence for rope in ropes)
+    pixels = ((places + 0.5) * CELL - shift) / step
+    reason = _reason(loose, shape, _EDGE * CELL / step)
+    return PhotoReading(tuple(ropes), code, confidence, pixels, votes, over, loose, reason)
 
 
-def _smooth(line: Array) -> Array:
-    """Smooth a closed line (n, 2), and cut off loops too small to be a strand's."""
-    for _ in range(2):
-        line = 0.25 * (np.roll(line, 1, 0) + 2 * line + np.roll(line, -1, 0))
-    flat = find_crossings(np.column_stack([line, np.zeros(len(line))]))
-    step = np.hypot(*(np.roll(line, -1, 0) - line).T)
-    kept = np.ones(len(line), dtype=bool)
-    for first, last in np.sort(np.column_stack([flat.over_place, flat.under_place])).astype(int):
+def _knot(code: GaussCode) -> str:
+    try:
+        return knot_type(code)
+    except InvalidInput:  # no closed curve in the plane has this code
+        return "unknown"
+
+
+def _reason(loose: Array, shape: Sequence[int], near: float) -> str:
+    """Say where a picture's ropes end; "" if none does."""
+    if not len(loose):
+        return ""
+    height, width = shape[:2]
+    room = np.minimum(loose, (width, height) - loose).min(axis=1)
+    each = [f"({x:.0f}, {y:.0f})" for x, y in loose]
+    inside = [text for text, far in zip(each, room, strict=True) if far >= near]
+    cut = [text for text, far in zip(each, room, strict=True) if far < near]
+    counted = {1: "one loose end", 2: "two loose ends"}
+    said = f"{counted.get(len(inside), f'{len(inside)} loose ends')} at {' and '.join(inside)}"
+    leaves = f"a rope leaves the picture at {' and '.join(cut)}"
+    return "; ".join([said] * bool(inside) + [leaves] * bool(cut))
+
+
+def _without_loops(line: Line) -> Line:
+    """Cut off loops of a line that are too small to be a strand's."""
+    points = line.points
+    found = find_ropes_crossings([_flat(line)], line.closed)
+    step = np.hypot(*(np.roll(points, -1, 0) - points).T)
+    kept = np.ones(len(points), dtype=bool)
+    for first, last in np.sort(np.column_stack([found.over_place, found.under_place])).astype(int):
         inside = np.arange(first + 1, last + 1)
-        outside = np.arange(last + 1, first + 1 + len(line)) % len(line)
-        for loop in (inside, outside):
+        outside = np.arange(last + 1, first + 1 + len(points)) % len(points)
+        for loop in (inside, outside) if line.closed else (inside,):
             if step[loop].sum() < _LOOP:
                 kept[loop] = False
-    return line[kept]
+    return Line(points[kept], line.closed)
 
 
-def _crossings_of(line: Array) -> Crossings:
-    """Find the crossings of a line, float64 (n, 3), y down, with heights or levels."""
-    return find_crossings(line * (1.0, -1.0, 1.0))
+def _flat(line: Line) -> Array:
+    return np.column_stack([line.points * (1.0, -1.0), np.zeros(len(line.points))])
 
 
-def _doubled(line: Array, place: int) -> Array:
-    step = line[(place + 3) % len(line)] - line[(place - 2) % len(line)]
+def _crossed(
+    lines: Sequence[Line], upper: NDArray[np.float32]
+) -> tuple[RopesCode, Array, Array, Array]:
+    """Find the crossings of lines, and which strand is the upper one.
+
+    Args:
+        lines: in cells.
+        upper: float32 (2, h, w), see `Fields`.
+
+    Returns:
+        The code of the lines as they are walked; places of the crossings, float64 (n, 2), cells;
+        votes for the upper strands, in [0, 1]; and unit vectors along these, float64 (n, 2).
+    """
+    found = find_ropes_crossings([_flat(line) for line in lines], [one.closed for one in lines])
+    starts = np.cumsum([0, *(len(line.points) for line in lines)])
+    votes, over, dropped = np.empty(len(found.sign)), np.empty((len(found.sign), 2)), set[int]()
+    both = np.stack([found.over_place, found.under_place], axis=1)
+    for k, (x, y) in enumerate(found.position * (1.0, -1.0)):
+        ways = []
+        for place in both[k]:
+            owner = int(np.searchsorted(starts, place, "right")) - 1
+            line, at = lines[min(owner, len(lines) - 1)], place - starts[owner]
+            ways.append(_doubled(line, int(at)))
+            if not line.closed and not _TIP <= at <= len(line.points) - 1 - _TIP:
+                dropped.add(k + 1)
+        between = ways[0] - ways[1]
+        votes[k] = _bilinear(upper, x, y) @ between / max(np.hypot(*between), 1e-6)
+        half = 0.5 * np.arctan2(*ways[int(votes[k] < 0)][::-1])
+        over[k] = np.cos(half), np.sin(half)
+    # a vote against the strand that is visited first switches the crossing
+    switched = {k + 1 for k in np.flatnonzero(votes < 0).tolist()}
+    walks = [
+        [-visit if abs(visit) in switched else visit for visit in walk if abs(visit) not in dropped]
+        for walk in found.code.visits
+    ]
+    letters = {
+        k: ("a" if one == "c" else "c") if k in switched else one
+        for k, one in enumerate(found.code.chirality or "", 1)
+    }
+    code = GaussCode.relabelled([visit for walk in walks for visit in walk], letters)
+    kept = list(dict.fromkeys(abs(visit) for walk in walks for visit in walk))
+    rows = np.array(kept, int) - 1
+    parts = iter(code.visits)
+    visits = tuple(tuple(next(parts) for _ in walk) for walk in walks)
+    whole = RopesCode(visits, tuple(one.closed for one in lines), code.chirality)
+    sure = np.minimum(np.abs(votes[rows]), 1.0)
+    return whole, found.position[rows] * (1.0, -1.0), sure, over[rows]
+
+
+def _doubled(line: Line, place: int) -> Array:
+    """Return the unit vector of twice the angle of a line at a point."""
+    n, (first, last) = len(line.points), (place - 2, place + 3)
+    if line.closed:
+        first, last = first % n, last % n
+    step = line.points[min(last, n - 1)] - line.points[max(first, 0)]
     angle = 2 * np.arctan2(step[1], step[0])
     return np.array([np.cos(angle), np.sin(angle)])
 
