@@ -25,7 +25,16 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 
 from cyclopts import App, Group, Parameter
 
-from knotgym.common import InvalidInput, Mark, Occupied, choices, from_json, merged, read_json
+from knotgym.common import (
+    InvalidInput,
+    Mark,
+    Occupied,
+    choices,
+    from_json,
+    merged,
+    read_json,
+    use_plugins,
+)
 from knotgym.runs import Progress, RunOptions
 
 Config = TypeVar("Config")
@@ -47,6 +56,8 @@ Numbers = Annotated[str | None, Parameter(metavar="N,N")]
 _of_run = functools.partial(Parameter, group=_RUN_GROUP)
 DrawSeed = Annotated[int, _of_run(help="Seed of the random choice.")]
 _QUIET = Annotated[bool, Parameter(show=False, help="Print results and errors only.")]
+_PLUGIN_HELP = "Module that registers tasks or other kinds when imported; may be repeated."
+_PLUGIN = Annotated[list[str] | None, _of_run(metavar="MODULE", help=_PLUGIN_HELP)]
 _SET_HELP = "One setting, such as task.horizon=30; may be repeated."
 _SET = Annotated[list[str] | None, _of_run(metavar="NAME=VALUE", help=_SET_HELP)]
 _SETTINGS = Annotated[Path | None, _of_run(help="TOML or JSON file of settings.")]
@@ -123,10 +134,12 @@ def command(
         def _run(
             *words: Any,
             quiet: _QUIET = False,
+            plugin: _PLUGIN = None,
             settings: _SETTINGS = None,
             set: _SET = None,
             **values: Any,
         ) -> None:
+            use_plugins(plugin or ())
             _require_apart(values.get("out"), [settings, *words, *values.values()])
             mine = {one.name: values.pop(one.name) for one in own if one.name in values}
             typed = {name.replace("__", "."): value for name, value in values.items()}
@@ -139,7 +152,7 @@ def command(
                 progress.say_seconds()
 
         common = inspect.signature(_run).parameters
-        parameters = [*own, *options, common["quiet"]]
+        parameters = [*own, *options, common["quiet"], common["plugin"]]
         parameters += [common["settings"], common["set"]] if "" in sections else []
         # a terminal breaks paragraphs and entries by its own width
         doc = _run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))

@@ -41,6 +41,9 @@ from .errors import MissingExtra as MissingExtra
 from .errors import MissingFile as MissingFile
 from .errors import Occupied as Occupied
 from .errors import one_line as one_line
+from .plugins import near as near
+from .plugins import plugins as plugins
+from .plugins import use_plugins as use_plugins
 from .streams import Stream as Stream
 from .tables import Column as Column
 from .tables import Schema as Schema

@@ -37,6 +37,7 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationE
 from pydantic.dataclasses import dataclass as validated_dataclass
 
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
+from knotgym.common.plugins import use_plugins
 
 Config = TypeVar("Config")
 Record = TypeVar("Record")
@@ -148,6 +149,8 @@ class _Choice:
     help: Callable[[], str] | None
 
     def __call__(self, value: Any) -> Any:
+        if value not in (*self.known, *self.growing):
+            use_plugins()  # may make it grow
         words = *self.known, *self.growing
         if value not in words:
             raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in words)}")
@@ -164,7 +167,10 @@ class Kinds(dict[str, Record], Generic[Record]):
         super().__init__(records)
         self._what = what  # the field that names them, for the error
 
-    def __missing__(self, name: object) -> Record:
+    def __missing__(self, name: Any) -> Record:
+        use_plugins()
+        if name in self:
+            return self[name]
         raise InvalidInput(f"{self._what} must be one of {', '.join(self)}, got {name!r}")
 
 

@@ -39,7 +39,7 @@ from typing import Any
 import numpy as np
 
 import knotgym
-from knotgym.common import Ids, InvalidPolicy, by_name
+from knotgym.common import Ids, InvalidPolicy, by_name, near
 from knotgym.control.basic_policies import ActionPlayer
 from knotgym.control.policies import user_code
 from knotgym.control.policy_config import PolicyConfig
@@ -257,15 +257,10 @@ def _module_of(name: str) -> Iterator[ModuleType]:
     That folder is on the path only while the module is in use here.
     """
     module = name.partition(":")[0]
-    package, searched = module.partition(".")[0], list(sys.path)
-    if package not in sys.modules and importlib.util.find_spec(package) is None:
-        sys.path.append(os.getcwd())  # searched, too, as by `python -m`
-    try:
+    with near(module):
         with _noting(module):
             found = importlib.import_module(module)
         yield found
-    finally:
-        sys.path[:] = searched
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from pydantic import Field, PositiveFloat, PositiveInt
 
 import knotgym
-from knotgym.common import Distinct, InvalidInput, Mark, choice, configuration
+from knotgym.common import Distinct, InvalidInput, Kinds, Mark, choice, configuration
 from knotgym.envs.observations import LAYOUTS, OBSERVATIONS
 from knotgym.quality import RESET_NOISE
 from knotgym.rendering import APPEARANCES, AppearanceName, CameraName, PictureConfig, Views
@@ -27,17 +27,17 @@ _SHAPE = "length", "radius"
 _NOT_OF_ROPE = frozenset({"beads", "sub_chains", "rooted", "timestep", "frame_skip"})
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
-TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
-    "unknot": lambda nx: (nx, 0),
-    "tie": lambda nx: (0, nx),
-    "convert": lambda nx: (nx - 1, nx),
-}
+TASKS: Kinds[Callable[[int], tuple[int, int]]] = Kinds(
+    "task",
+    {"unknot": lambda nx: (nx, 0), "tie": lambda nx: (0, nx), "convert": lambda nx: (nx - 1, nx)},
+)
 
 
 def register_task(name: str, crossings: Callable[[int], tuple[int, int]]) -> None:
     """Add a task, and register its environment with Gymnasium as knotgym/Name-v0.
 
-    Workers make their own tasks, so a name must be registered in every process that uses it.
+    Workers make their own tasks, so a name must be registered in every process that uses it, as by
+    a plugin (`--plugin`).
 
     Args:
         name: a lower-case word.

@@ -29,7 +29,16 @@ from multiprocessing.util import Finalize
 from typing import Any
 
 from knotgym import drawing, quality, rendering, topology
-from knotgym.common import Counts, Failed, InvalidInput, MissingExtra, Threads, differences
+from knotgym.common import (
+    Counts,
+    Failed,
+    InvalidInput,
+    MissingExtra,
+    Threads,
+    differences,
+    plugins,
+    use_plugins,
+)
 from knotgym.rope import CHAIN, COMPILING, MUJOCO, Rope, is_compiled, simulation
 from knotgym.runs.identities import versions
 from knotgym.runs.progress import Progress
@@ -68,7 +77,7 @@ class _Processes(ProcessPoolExecutor):
         context = _context()
         self.workers, self.ended = workers, context.Value("q", 0)
         self.seconds = context.Value("d", 0)  # of CPU, of workers that have ended
-        shared = self.ended, self.seconds
+        shared = self.ended, self.seconds, [*plugins()]
         super().__init__(workers, mp_context=context, initializer=_serve, initargs=shared)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
@@ -162,9 +171,10 @@ def _context() -> multiprocessing.context.BaseContext:
     return multiprocessing.get_context("forkserver")
 
 
-def _serve(ended: Any, seconds: Any) -> None:
+def _serve(ended: Any, seconds: Any, names: list[str]) -> None:
     import cv2
 
+    use_plugins(names)
     Counts.ended = ended
     # The shell's `time` doesn't see workers: they are children of the fork server.
     Finalize(None, _count_seconds, (seconds,), exitpriority=0)
@@ -190,7 +200,7 @@ class _Cluster(Executor):
 
     def __init__(self, executor: Executor, workers: int) -> None:
         self._executor, self.workers = executor, workers
-        self._run = os.getcwd(), versions()
+        self._run = os.getcwd(), versions(), [*plugins()]
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
         return self._executor.submit(_call, *self._run, fn, args, kwargs)
@@ -229,7 +239,12 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
 
 
 def _call(
-    folder: str, run: dict[str, str], fn: Callable[..., Any], args: Any, kwargs: dict[str, Any]
+    folder: str,
+    run: dict[str, str],
+    names: list[str],
+    fn: Callable[..., Any],
+    args: Any,
+    kwargs: dict[str, Any],
 ) -> Any:
     """Make a call on a worker, in the working directory of the run."""
     import cv2
@@ -241,6 +256,7 @@ def _call(
         if os.getcwd() != folder:
             sys.path[:] = filter(None, sys.path)  # "" would import from the run's folder
             os.chdir(folder)  # paths may be relative to the run's folder
+        use_plugins(names)
         cv2.setNumThreads(1)
         return fn(*args, **kwargs)
 

@@ -22,6 +22,7 @@ from knotgym.common import (
     code_sha256,
     differences,
     merged,
+    plugins,
     read_json,
     sha256,
 )
@@ -83,6 +84,8 @@ def identity(
             found = merged(found, {"states": own})
         for _, owner, named in Mark.fields(type(one), one, "policy"):
             found = merged(found, {"policies": {named: owner.files()}})
+    if used := plugins():
+        found = merged(found, {"plugins": used})
     found = merged(found, files or {})
     whole = {
         "config": as_json(config) if fields is None else fields,

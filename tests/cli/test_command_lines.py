@@ -214,6 +214,28 @@ def test_commands_come_from_packages_and_the_core_runs_without_its_guests(tmp_pa
         assert shown in python("-c", code, check=True).stdout
 
 
+@pytest.mark.thorough
+def test_a_plugin_registers_a_task_in_every_process(tmp_path: Path) -> None:
+    task = "import knotgym\nknotgym.register_task('loosen', lambda nx: (nx, nx - 1))\n"
+    (tmp_path / "loosen.py").write_text(task)
+    job = "import sys; from knotgym.cli import main; sys.path[:0] = {}; main({!r}.split())"
+    made = "collect --task loosen --nx 2 --policy random --engine chain --episodes 2 --workers 2"
+    for words, installed, said in (
+        (f"{made} --out root --plugin loosen", False, "2 episodes"),
+        ("dataset verify root", False, "must be one of unknot, tie, convert or a list, got 'loo"),
+        ("dataset verify root --plugin loosen", False, "no faults"),
+        ("dataset verify root --plugin loosen.py", False, "plugin loosen.py can't be imported"),
+        ("dataset verify root", True, "no faults"),
+    ):
+        if installed:
+            (tmp_path / "mine-1.dist-info").mkdir()
+            (tmp_path / "mine-1.dist-info/METADATA").write_text("Name: mine\nVersion: 1\n")
+            points = tmp_path / "mine-1.dist-info/entry_points.txt"
+            points.write_text("[knotgym.plugins]\nmine = loosen\n")
+        run = python("-c", job.format([str(tmp_path)] * installed, words), cwd=tmp_path)
+        assert said in run.stdout + run.stderr
+
+
 @pytest.mark.parametrize(
     ("command", "settings"),
     [
