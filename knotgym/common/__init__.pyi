@@ -29,8 +29,11 @@ from .configurations import configuration as configuration
 from .configurations import differences as differences
 from .configurations import from_json as from_json
 from .configurations import merged as merged
+from .configurations import near as near
+from .configurations import plugins as plugins
 from .configurations import python_values as python_values
 from .configurations import read_json as read_json
+from .configurations import use_plugins as use_plugins
 from .counts import Counts as Counts
 from .errors import Failed as Failed
 from .errors import InvalidFile as InvalidFile
@@ -41,9 +44,6 @@ from .errors import MissingExtra as MissingExtra
 from .errors import MissingFile as MissingFile
 from .errors import Occupied as Occupied
 from .errors import one_line as one_line
-from .plugins import near as near
-from .plugins import plugins as plugins
-from .plugins import use_plugins as use_plugins
 from .streams import Stream as Stream
 from .tables import Column as Column
 from .tables import Schema as Schema

@@ -68,7 +68,8 @@ def as_policy(
     """Make a policy of a model that was learned from `arrays` or another loader.
 
         act = as_policy(d3rlpy.load_learnable("model.d3").predict)
-        act = as_policy(torch.jit.load("model.pt"))
+        network.load_state_dict(torch.load("model.pt", weights_only=True))
+        act = as_policy(network)
         act = as_policy(onnxruntime.InferenceSession("model.onnx"))
 
     In a module, `knotgym evaluate --policy module:act` plays it. In an environment made with the
@@ -91,8 +92,8 @@ def as_policy(
 def _function_of(model: Any) -> Callable[[Any], Any]:
     torch: Any = sys.modules.get("torch")
     if torch is not None and isinstance(model, torch.nn.Module):
-        network = model.eval()
-        return torch.inference_mode()(lambda seen: network(torch.from_numpy(seen)).numpy())
+        # not at once: what makes the policy may train the network first
+        return torch.inference_mode()(lambda seen: model.eval()(torch.from_numpy(seen)).numpy())
     if hasattr(model, "get_inputs") and hasattr(model, "run"):
         name = model.get_inputs()[0].name
         return lambda seen: model.run(None, {name: seen})[0]

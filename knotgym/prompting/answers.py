@@ -1,7 +1,9 @@
 """Parse a model's answer strictly.
 
 An answer must have one <answer> block that holds bracketed lists of six numbers in [-1, 1], or one
-Gauss code. Anything else has a fault, which is counted apart from failures at the task:
+Gauss code. How a model sets them off doesn't count: the marks of Markdown around them (backticks,
+also fences with the name of a language, `**`, `$`, quotes), other signs for minus (U+2212, dashes),
+full-width characters. Anything else has a fault, counted apart from failures at the task:
 
     refusal            the model refused in every attempt, or the server rejected the request
     empty              the answer was empty in every attempt
@@ -16,6 +18,7 @@ Gauss code. Anything else has a fault, which is counted apart from failures at t
 
 import math
 import re
+import unicodedata
 
 from knotgym.common import InvalidInput
 from knotgym.topology import GaussCode
@@ -24,6 +27,10 @@ _LIST = re.compile(r"\[([^\[\]]*)\]")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _LONGEST_CODE = 1000  # characters
+_FENCE = re.compile(r"\s*```[A-Za-z]*\n(.*)```\s*", re.DOTALL)
+# what sets a text off in Markdown or TeX, or quotes it
+_MARKS = "`*$\"'\u2018\u2019\u201c\u201d\u00ab\u00bb"
+_MINUS = str.maketrans(dict.fromkeys("\u2010\u2011\u2012\u2013\u2014\u2212\ufe63", "-"))
 
 
 def read_actions(text: str, most: int) -> tuple[list[list[float]], str]:
@@ -80,7 +87,20 @@ def _block(text: str) -> tuple[str, str]:
         return "", "several blocks"
     if start < 0 or end < start:
         return "", "no block"
-    return text[start + len("<answer>") : end], ""
+    return _plain(text[start + len("<answer>") : end]), ""
+
+
+def _plain(inside: str) -> str:
+    """Return what is in a block without marks around it, in plain characters.
+
+    >>> _plain("**`[1+, 1\u2212]`**")
+    '[1+, 1-]'
+    """
+    inside = unicodedata.normalize("NFKC", inside).translate(_MINUS)
+    if fenced := _FENCE.fullmatch(inside):
+        inside = fenced[1]
+    lines = (line.strip().strip(_MARKS) for line in inside.splitlines())
+    return "\n".join(lines)
 
 
 def _fault_of(words: list[str]) -> str:

@@ -45,13 +45,12 @@ def check_plays(policy: str, monkeypatch: Patch) -> None:
 
 def recipes() -> dict[str, tuple[str, str]]:
     """Return the two files of each recipe of the page, by library; TorchRL's model is torch's."""
-    found, model = dict[str, tuple[str, str]](), ""
-    for name, code in reversed(re.findall(r"```python\n# recipe: (\w+)\.py\n(.*?)```", PAGE, re.S)):
-        if name == "learn":
-            found[re.findall("d3rlpy|torchrl|ogbench|torch", code)[0]] = code, model
-        else:
-            model = code
-    return {**found, "torchrl": (found["torchrl"][0], found["torch"][1])}
+    parts = re.findall(r"```python\n# recipe: (\w+)\.py\n(.*?)```", PAGE, re.S)
+    learners = [code for name, code in parts if name == "learn"]
+    cloned, torchs, ogbenchs = (code for name, code in parts if name == "model")
+    models = {"d3rlpy": cloned, "torch": torchs, "torchrl": torchs, "ogbench": ogbenchs}
+    found = {re.findall("d3rlpy|torchrl|ogbench|torch", code)[0]: code for code in learners}
+    return {library: (found[library], model) for library, model in models.items()}
 
 
 @pytest.mark.parametrize("library", ["d3rlpy", "torch", "torchrl", "ogbench"])
@@ -66,8 +65,10 @@ def test_recipes_of_the_page_train_and_play(library: str, room: Path, monkeypatc
         assert knotgym("dataset", "export", ID, "--to", "ogbench", "--out", folder) == 0
     few = re.sub(r"\b1[03]00\b", "2", learn)
     assert few != learn
-    exec(compile(few, "learn.py", "exec"), {})
     (room / "model.py").write_text(model)
+    monkeypatch.syspath_prepend(room)
+    monkeypatch.delitem(sys.modules, "model", raising=False)
+    exec(compile(few, "learn.py", "exec"), {})
     check_plays("model", monkeypatch)
 
 
