@@ -24,7 +24,7 @@ from synthetic_episodes import TINY
 import knotgym
 from knotgym import datasets
 from knotgym.common import Table
-from knotgym.envs import TaskConfig
+from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rendering import APPEARANCES
 from knotgym.states import write_states
 
@@ -132,7 +132,7 @@ def with_blocks(page: Path) -> Any:
 def test_a_page_s_blocks_run(page: Path, minari: Path, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(minari))
     monkeypatch.chdir(tmp_path)
-    with patch.dict(APPEARANCES):  # a page may add one, for itself
+    with patch.dict(APPEARANCES), patch.dict(OBSERVATIONS):  # a page may add one, for itself
         for block in blocks(page):
             if ELSEWHERE.get(page.name, "\0") not in block:
                 exec(compile(block, page.name, "exec"), {"__name__": page.stem})

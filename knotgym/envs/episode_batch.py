@@ -25,12 +25,8 @@ Seed = int | np.random.Generator
 Options = Mapping[str, Any] | None
 Meanwhile = Callable[[], None] | None
 
-# Arrays with a row per rope that describe its episode; `copy_from` copies them.
-_STATE = (
-    *("seed", "start_row", "goal_row", "start_qpos", "hold", "steps", "held", "shown", "failed"),
-    *("visits", "signs", "crossings", "wanted", "towed", "centre", "beads", "forces"),
-    "applied_shares",
-)
+# attributes that `copy_from` leaves as they are; every other array has a row per rope
+_OF_BATCH = frozenset({"number", "_texts", "_old_texts"})
 
 
 class EpisodeBatch:
@@ -219,8 +215,9 @@ class EpisodeBatch:
         width = max(self.visits.shape[1], other.visits.shape[1])
         self._widen(width)
         other._widen(width)
-        for name in _STATE:
-            getattr(self, name)[ids] = getattr(other, name)[rows]
+        for name, column in vars(self).items():
+            if isinstance(column, np.ndarray) and name not in _OF_BATCH:
+                column[ids] = getattr(other, name)[rows]
         self._old_texts[ids] = True
         self.view.reset(ids)
 
