@@ -13,6 +13,7 @@ Prints windows a CPU second and a second, and both relative to HDF5.
 import argparse
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def sources(windows: Sequences, room: Path) -> dict[str, Callable[[Any], Picture
         "HDF5": lambda starts: np.stack([file[one : one + WINDOW] for one in starts.tolist()]),
     }
     try:
-        import lance
+        lance = import_module("lance")
         import pyarrow as pa
     except ImportError:
         return found
