@@ -28,6 +28,7 @@ from knotgym.common import Array, InvalidInput, one_line, require_regular
 
 _MOST = 1_000_000  # lines or points of a file, characters of a line
 _MOST_CURVES = 20_000  # of a file
+_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]?\d)")  # Fortran's, as in 1.5D+00
 _COMMENT = re.compile(r"(?:^|\s)#.*")  # 3_1#4_1 is a name
 Components = Iterator[tuple[str, ArrayLike]]  # a name, "" without, and points (n, 3)
 
@@ -148,16 +149,20 @@ def _words(line: str) -> list[str]:
 def _numbers(words: Sequence[str]) -> list[float]:
     """Return the numbers that words are, if all are."""
     try:
-        return [float(word) for word in words]
+        return [*map(_number, words)]
     except ValueError:
         return []
+
+
+def _number(word: str) -> float:
+    return float(_EXPONENT.sub("e", word))
 
 
 def _row(words: Sequence[str], number: int) -> tuple[str, list[float]]:
     if len(words) not in (3, 4):
         raise InvalidInput(f"line {number} has {len(words)} values, should be x y z or name x y z")
     with InvalidInput.instead(f"line {number}", ValueError):
-        return "".join(words[:-3]), [float(word) for word in words[-3:]]
+        return "".join(words[:-3]), [*map(_number, words[-3:])]
 
 
 def _by_name(rows: list[tuple[str, list[float]]], announced: str, path: Path) -> Components:

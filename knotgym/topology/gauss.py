@@ -22,6 +22,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from operator import index
 
 from knotgym.common import InvalidInput
 
@@ -50,9 +51,9 @@ class GaussCode:
     chirality: str | None = None
 
     def __post_init__(self) -> None:
-        if type(self.visits) is not tuple:
-            # Callers pass lists, too; a frozen dataclass can only be set this way.
-            object.__setattr__(self, "visits", tuple(self.visits))
+        # Callers pass lists, too; a frozen dataclass can only be set this way.
+        with InvalidInput.instead("visits of a Gauss code are whole numbers", TypeError):
+            object.__setattr__(self, "visits", tuple(map(index, self.visits)))
         if not self.visits and self.chirality is None:
             object.__setattr__(self, "chirality", "")
         _check_visits(self.visits)

@@ -93,6 +93,9 @@ ONE: dict[str, Callable[[Points], str | bytes]] = {
     "count from 1.tsv": lambda p: table(numbered(p, 1), "\t"),
     "spaces.txt": lambda p: table(p, " "),
     "of savetxt.txt": lambda p: table([[f"{x:.18e}" for x in row] for row in p], " "),
+    "fortran.dat": lambda p: "\n".join(
+        " ".join(f"{value:.17e}".replace("e", "D") for value in row) for row in p
+    ),
     "residues.xyz": lambda p: table(numbered(p, 17), " "),
     "molecule.xyz": lambda p: f"{len(p)}\na knot\n" + table(numbered(p, "C"), " "),
     "molecule without a line for comments.xyz": lambda p: f"{len(p)}\n" + table(p, " "),

@@ -1,5 +1,6 @@
 """Gauss codes: parsing, printing, and the laws of mirroring, reversing and rebasing."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,6 +46,12 @@ def test_malformed_text_is_refused(text: str) -> None:
 def test_a_wrong_chirality_is_refused(letters: str) -> None:
     with pytest.raises(InvalidInput):
         GaussCode((1, -1, 2, -2), letters)
+
+
+def test_visits_are_whole_numbers_of_any_library() -> None:
+    assert GaussCode((np.int64(1), np.int8(-1))) == GaussCode((1, -1))  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="visits of a Gauss code are whole numbers"):
+        GaussCode((1.0, -1.0))  # type: ignore[arg-type]
 
 
 def test_letters_that_are_not_known_are_not_invented() -> None:
