@@ -6,11 +6,11 @@ from .common import KnotgymError as KnotgymError
 from .common import MissingExtra as MissingExtra
 from .common import MissingFile as MissingFile
 from .common import Occupied as Occupied
-from .control import verify as verify
 from .envs import KnotEnv as KnotEnv
 from .envs import KnotVectorEnv as KnotVectorEnv
 from .envs import TaskConfig as TaskConfig
 from .envs import register_task as register_task
+from .generate import verify as verify
 from .rendering import PictureConfig as PictureConfig
 from .rendering import draw as draw
 from .rope import Rope as Rope

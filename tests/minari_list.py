@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from knotgym.control import verify
 from knotgym.datasets import Episodes, columns_of
+from knotgym.generate import verify
 
 
 def check_minari(root: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:

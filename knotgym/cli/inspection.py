@@ -11,10 +11,11 @@ from rich.console import Console
 
 from knotgym.cli.program import shown
 from knotgym.common import Failed, InvalidFile, InvalidInput, atomic_write, require_output
-from knotgym.control import dataset_faults, replay
+from knotgym.control import replay
 from knotgym.datasets import in_words, locate, open_episodes, show_episodes, summary, try_files
+from knotgym.generate import CLAIMED, read_entry
+from knotgym.generate import faults as dataset_faults
 from knotgym.generate import film as film_of
-from knotgym.generate import read_entry
 from knotgym.rendering import Film
 from knotgym.rope import RopeConfig, simulation_of
 from knotgym.runs import Progress, executor, narrow_table
@@ -77,9 +78,12 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
         counts = {} if entry else locate(named).counts(sample)
         said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         progress.say(f"{named}: {entry or said}: no faults")
-        opened = [] if entry else map(open_episodes, locate(named).episodes)
-        if claims := sorted({name for one in opened for name in one.episodes.claims()}):
-            progress.say(f"claimed, as nothing can make them again: {', '.join(claims)}")
+        opened = [] if entry else [*map(open_episodes, locate(named).episodes)]
+        claims = {name for one in opened for name in one.episodes.claims()}
+        claims |= {name for one in opened for name in CLAIMED if (one.metadata or {}).get(name)}
+        if claims:
+            said = ", ".join(sorted(claims))
+            progress.say(f"claimed, as nothing can make them again: {said}")
 
 
 def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Progress) -> None:

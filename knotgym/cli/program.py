@@ -135,6 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tokens = sys.argv[1:] if arguments is None else [*arguments]
     goes_on = stopped = ""
     try:
+        _require_folder()
         typed = commands().get(tokens[0]) if tokens else None
         goes_on = f"; {_KEPT}" if typed and typed.resumes else ""
         stopped = f"interrupted before all output was written{goes_on}"
@@ -162,6 +163,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             traceback.print_exc()
             status = _say(_OURS, _FAILED)
     sys.exit(status)
+
+
+def _require_folder() -> None:
+    """Raise InvalidInput if the current folder was deleted, without which no path has a meaning."""
+    with InvalidInput.instead("the current folder is gone: change to another", OSError):
+        os.getcwd()
 
 
 def _mistake(error: CycloptsError) -> str:

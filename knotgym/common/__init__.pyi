@@ -16,6 +16,7 @@ from .computing import Threads as Threads
 from .computing import inlined as inlined
 from .computing import inner as inner
 from .computing import kernel as kernel
+from .configurations import Count as Count
 from .configurations import Distinct as Distinct
 from .configurations import Kinds as Kinds
 from .configurations import Mark as Mark

@@ -39,6 +39,11 @@ from numba.core.caching import CacheImpl
 from numba.core.dispatcher import Dispatcher
 from numba.misc.appdirs import AppDirs
 
+from knotgym.common.errors import InvalidInput
+
+if numba.config.DISABLE_JIT:
+    raise InvalidInput("NUMBA_DISABLE_JIT is set, and kernels must be compiled: unset it")
+
 _CGROUPS = Path("/sys/fs/cgroup")
 _MEANT = Dispatcher, type(extending.intrinsic(lambda context: None))
 _CONSTANTS = int, float, tuple, np.generic, np.ndarray

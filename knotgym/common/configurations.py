@@ -192,6 +192,7 @@ def choices(hint: Any) -> list[str]:
 
 
 Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]  # stored as int64
+Count = Annotated[int, Field(gt=0, le=10**9)]  # of what a run makes; more would never end
 Share = Annotated[float, Field(ge=0, le=1)]
 Distinct = AfterValidator(_distinct)
 
@@ -319,7 +320,8 @@ def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
     """Read a JSON file of at most `most` bytes; anything but a regular file isn't opened.
 
     Raises:
-        InvalidFile: it isn't a regular file, too large, not JSON, or too deeply nested.
+        InvalidFile: it isn't a regular file, is too large or too deeply nested, isn't JSON, or has
+            an object with a key twice.
     """
     given = Path(path)
     if given.exists() and not given.is_file():
@@ -329,7 +331,16 @@ def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
     if len(text) > most:
         raise InvalidFile(f"{given} has more than {most} bytes, too many for a JSON file")
     with InvalidFile.instead(f"{given} isn't valid JSON", ValueError, RecursionError):
-        return json.loads(text.decode("utf-8"))
+        return json.loads(text.decode("utf-8"), object_pairs_hook=_object)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"key {twice!r} is there twice")
+    return found
 
 
 def by_name(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:

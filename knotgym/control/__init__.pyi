@@ -15,7 +15,6 @@ from .policy_config import PolicyConfig as PolicyConfig
 from .policy_config import PullPlannerConfig as PullPlannerConfig
 from .recorded_policy import dataset_faults as dataset_faults
 from .recorded_policy import replay as replay
-from .recorded_policy import verify as verify
 from .sampler import Player as Player
 from .sampler import Policy as Policy
 from .sampler import PolicyFamily as PolicyFamily

@@ -112,7 +112,9 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
     if not (checked and actions.shape[1:] == (size,)):
         with InvalidPolicy.instead(wanted, TypeError, ValueError):
             # one by one, so that a message can show the action that is wrong
-            rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]
+            every = [np.asarray(action).reshape(-1) for action in actions]
+            # not of text, nor of complex numbers, which would lose a part
+            rows = [one.astype(np.float32, casting="same_kind") for one in every]
         for row in rows:
             if len(row) != size:
                 raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")

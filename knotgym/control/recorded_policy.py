@@ -39,26 +39,8 @@ def replay(
     return rollouts(policy, task, episodes.episodes if seeds is None else seeds)
 
 
-def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
-    """Verify a dataset: checksums, schema, codes by two labellers, exact replays, pictures, splits.
-
-    Args:
-        source: a folder or a file that knotgym wrote, or the id of a Minari dataset.
-        sample: of episodes, how many drawn ones to play again, where all would take too long; 0 for
-            all. Columns are then not compared with Minari's form.
-
-    Returns:
-        Faults; each names the file and, where possible, the row or step. Empty if there are none.
-
-    Raises:
-        FileNotFoundError: there is nothing at `source`.
-        MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
-    """
-    return list(dataset_faults(source, sample=sample))
-
-
 def dataset_faults(source: str | os.PathLike[str], *given: Any, **named: Any) -> Iterator[str]:
-    """Yield the faults that `verify` lists as soon as they are found; arguments as of `faults`."""
+    """Yield the faults of a dataset as they are found; arguments as of `datasets.faults`."""
     from knotgym.datasets import faults, locate  # here, as replays need neither
 
     return faults(locate(os.fspath(source)), replay, *given, **named)

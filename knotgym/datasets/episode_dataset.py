@@ -245,6 +245,8 @@ class EpisodeDataset:
         named, digest = self.task.states, self.attributes.get(STATES_DIGEST)
         if is_bundled(named) or named is None:
             return resolve_states(named)
+        if not isinstance(digest, str):
+            raise InvalidFile(f"{self.path} doesn't say by SHA-256 which states it was reset from")
         root = minari_root().resolve()
         carried = (root / named / "data" / STATES_FILE).resolve()
         found = [self.path.with_name(STATES_FILE), *[carried] * carried.is_relative_to(root)]

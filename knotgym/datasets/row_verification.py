@@ -88,21 +88,23 @@ def _state_faults(states: States) -> Iterator[str]:
     sources = {SOURCES.get(name) for name in states.source.get("policy", ())}
     if all(one is not None and one.draws_actions for one in sources):
         needed.discard("source/actions")
-    lacking = [f"{name} is missing" for name in sorted(needed - {*states.table})]
+    lacking = sorted(needed - {*states.table})
+    yield from (f"states.h5: {name} is missing" for name in lacking)
     if states.qpos.shape[1] != rope.nq:
-        lacking.append(f"qpos has {states.qpos.shape[1]} numbers a row, should have {rope.nq}")
-    if lacking:
-        yield from (f"states.h5: {one}" for one in lacking)
+        yield f"states.h5: qpos has {states.qpos.shape[1]} numbers a row, should have {rope.nq}"
         return
+    replays = not any(name.startswith("source/") for name in lacking)
     for first in range(0, len(states), _BATCH):
         rows = range(first, min(first + _BATCH, len(states)))
-        ends = _replayed(states, rows, rope)
+        ends = _replayed(states, rows, rope) if replays else None
         for row in rows:
             # replays count as half of the work
             _tell_checked(states, rows.start, (len(rows) + row - rows.start) / 2)
-            for fault in _row_faults(states, row, rope, ends.get(row)):
+            for fault in _row_faults(states, row, rope, ends):
                 yield type(fault)(f"states.h5 row {row}: {fault}")
-    ropes = list(map(tuple, states.source["seed"].tolist()))
+    # without seeds each row may be of a rope of its own
+    seeds = states.source.get("seed", np.arange(len(states))[:, None])
+    ropes = list(map(tuple, seeds.tolist()))
     for fault in shared_faults(states.points, states.split, ropes, range(len(states))):
         yield f"states.h5 {fault}"
     for first, row in repeated(one.tobytes() for one in states.points):
@@ -197,8 +199,18 @@ def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
             yield f"{name} is {found}, recomputed {right}"
 
 
-def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
-    """Yield the faults of one row; its replay ended at qpos `end`, None if it failed."""
+def _row_faults(
+    states: States, row: int, rope: Rope, ends: Mapping[int, Array] | None
+) -> Iterator[str]:
+    """Yield the faults of one row.
+
+    Args:
+        states: the table.
+        row: which.
+        rope: the rope.
+        ends: qpos at the end of each replay, by row, of those that didn't fail; None if the table
+            doesn't say what led to its rows.
+    """
     stored = {name: values[row] for name, values in states.table.items()}
     off = np.abs(rope.points(stored["qpos"]) - stored["points"]).max()
     if not off <= ENGINES[states.engine].rounding:
@@ -207,6 +219,9 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     split = str(stored["split"])
     if not (split in SPLITS and SPLITS[split].of_states):
         yield f"split is {str(stored['split'])!r}"
+    if ends is None:
+        return
+    end = ends.get(row)
     try:
         _actions_of(states, row)
         source, seed = SOURCES[str(stored["source/policy"])], stored["source/seed"]

@@ -44,6 +44,7 @@ from knotgym.datasets.episode_dataset import (
     require_alike,
     write_episodes,
 )
+from knotgym.datasets.episode_verification import shared_faults
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.located import locate
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish, require_file
@@ -203,6 +204,9 @@ def merge(
         require_file(out, sources, overwrite)
     if states and out:
         merged = merge_states(states, distinct=True)
+        rows = range(len(merged))
+        for fault in shared_faults(merged.points, merged.split, rows, rows):
+            raise InvalidInput(f"merged, {fault}; leave one out, see `knotgym dataset delete`")
         with atomic_write(out, overwrite=overwrite) as temporary:
             write_states(temporary, merged)
         return f"{out}: {len(merged)} states"

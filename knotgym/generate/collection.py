@@ -22,7 +22,7 @@ from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, p
 from knotgym.envs import TaskConfig
 from knotgym.generate.episode_configs import CollectConfig, plain_id
 from knotgym.generate.old_formats import old_recordings
-from knotgym.generate.results import reached, reference_scores
+from knotgym.generate.results import reached, reference_scores, references_of
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
 from knotgym.states import is_bundled, minari_root, read_states, resolve_states, states_mark
@@ -285,11 +285,7 @@ def run_facts(dataset: Path) -> Mapping[str, Any]:
 def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata:
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
-    usual = TaskConfig(task=task.task)  # the scores are of its rules
-    rules = ("horizon", "hold", "endless", "tow_limit", "reset_noise", "success_reward", "rope")
-    own = all(getattr(task, name) == getattr(usual, name) for name in (*rules, "beads"))
-    protocol = reference_scores().get(f"{task.states or 'readable'}-{task.engine}", {})
-    scores = protocol.get("cells", {}).get(task.name, {}) if own else {}
+    scores = references_of(task)
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     planned = total["planned"] / max(total["played"], 1)
     planning = f" Planning took {planned:.0f} simulated pulls an episode."
@@ -302,7 +298,8 @@ def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata
         f" {'kept' if config.keep_failed else 'dropped'}.{labels * bool(config.labels)}"
         f"{planning * bool(planned)}"
     )
-    if scores:
+    if scores["ref_min_score"] is not None:
+        protocol = reference_scores()[f"{task.states or 'readable'}-{task.engine}"]
         text += f" Reference scores are the mean returns of `{protocol['command']}`."
     return MinariMetadata(
         dataset_id=config.dataset_id,
@@ -311,7 +308,5 @@ def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata
         author=config.author,
         author_email=config.author_email,
         code_permalink=config.code_permalink,
-        ref_min_score=scores.get("random"),
-        ref_max_score=scores.get("expert"),
-        num_episodes_average_score=scores.get("episodes"),
+        **scores,
     )

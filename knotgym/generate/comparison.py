@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from knotgym.common import InvalidFile, InvalidInput, as_json, one_line
+from knotgym.common import InvalidFile, InvalidInput, as_json, one_line, require_regular
 from knotgym.generate.entries import read_entry, states_digests
 from knotgym.generate.results import Result, evaluation_in
 from knotgym.runs import Difference, narrow_table
@@ -51,6 +51,13 @@ def _scores_in(path: Path) -> list[_Score]:
             results.append(one)
         config, digests = as_json(entry.config), states_digests(entry.config)
     else:
+        require_regular(path, "file")
+        with open(path, "rb") as file:
+            if file.read(1) != b"{":
+                raise InvalidFile(
+                    f"{path} is neither an entry of `knotgym evaluate --record` nor a file of --out"
+                    ", or it is damaged"
+                )
         with evaluation_in(path) as (content, results):
             config, digests = content["config"], (content["source"] or {}).get("states", {})
             dict(config["task"], seed=config["seed"]), dict(digests)  # raise if they aren't there

@@ -11,10 +11,10 @@ from importlib.resources import files
 from itertools import product
 from typing import Annotated, Any, ClassVar
 
-from pydantic import Field, NonNegativeInt, PositiveInt
+from pydantic import Field, NonNegativeInt
 
 from knotgym import control, datasets  # loaded on first use, as the command line reads this
-from knotgym.common import Distinct, InvalidInput, Seed, Stream, choice, configuration
+from knotgym.common import Count, Distinct, InvalidInput, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import ENGINES, MUJOCO
@@ -62,8 +62,8 @@ class CollectConfig:
     # vertices by default, from which loaders draw pictures of any kind
     task: TaskConfig = TaskConfig(task="tie", observation="state")
     policy: PolicyConfig = PolicyConfig(policy="expert")
-    episodes: PositiveInt = 200
-    steps: NonNegativeInt = 0
+    episodes: Count = 200
+    steps: Annotated[NonNegativeInt, Field(le=10**9)] = 0
     seed: Seed = 0
     keep_failed: bool = True
     labels: Annotated[str, choice("", "expert")] = ""
@@ -120,10 +120,10 @@ class EvaluateConfig:
     tasks: tuple[str, ...] = ("tie",)
     nx: Annotated[tuple[NonNegativeInt, ...], Distinct] = (2,)
     splits: tuple[str, ...] = ("test",)
-    episodes: PositiveInt = 256
+    episodes: Count = 256
     seed: Seed = 0
     task: TaskConfig = TaskConfig(task="tie", observation="state")
-    filmed: PositiveInt = 2
+    filmed: Count = 2
 
     def __post_init__(self) -> None:
         if not all((self.policies, self.tasks, self.nx, self.splits)):
@@ -172,7 +172,7 @@ class SuiteConfig:
     splits: Splits | None = None
     states: States = STATES
     size: Annotated[str, choice(*SIZES)] | None = None
-    episodes: Mapping[Annotated[str, choice(*TIERS)], PositiveInt] = field(default_factory=dict)
+    episodes: Mapping[Annotated[str, choice(*TIERS)], Count] = field(default_factory=dict)
     engine: str = MUJOCO
     observation: str = SUITE["observation"]
     seed: Seed = SUITE["seed"]

@@ -9,10 +9,10 @@ from dataclasses import replace
 from pkgutil import resolve_name
 from typing import Annotated, Any
 
-from pydantic import Field, NonNegativeInt, PositiveInt
+from pydantic import Field, NonNegativeInt
 
 from knotgym import topology
-from knotgym.common import Distinct, InvalidInput, Seed, Share, choice, configuration
+from knotgym.common import Count, Distinct, InvalidInput, Seed, Share, choice, configuration
 from knotgym.drawing import DrawingConfig
 from knotgym.envs import TaskConfig
 from knotgym.quality import Limits
@@ -57,9 +57,9 @@ class PlayConfig:
     scripted: NonNegativeInt = 20
     spreading: NonNegativeInt = 10
     first: NonNegativeInt = 5
-    every: PositiveInt = 5
-    per_rope: PositiveInt = 2
-    ropes: PositiveInt = 128
+    every: Count = 5
+    per_rope: Count = 2
+    ropes: Count = 128
 
     @property
     def pulls(self) -> int:
@@ -111,15 +111,15 @@ class GenerateConfig:
     """
 
     nx: Annotated[tuple[NonNegativeInt, ...], Distinct] = (3,)
-    count: PositiveInt = 40
+    count: Count = 40
     source: str = "auto"
     every_code: NonNegativeInt = 0
     train_share: Share = 0.5
     knot: str = UNKNOT
     codes: tuple[str, ...] = ()
     demonstrations: bool = True
-    attempts: PositiveInt = 100
-    demonstration_attempts: PositiveInt = 8
+    attempts: Count = 100
+    demonstration_attempts: Count = 8
     seed: Seed = 0
     engine: Annotated[str, choice("auto", growing=ENGINES)] = "auto"
     beads: Annotated[int, Field(ge=TaskConfig.BEADS.start, le=TaskConfig.BEADS[-1])] = _BEADS
@@ -247,22 +247,22 @@ class ImagesConfig:
     """
 
     nx: Annotated[tuple[_Listed, ...], Distinct] = (0, 1, 2, 3, 4)
-    count: PositiveInt = 20_000
+    count: Count = 20_000
     test_nx: tuple[NonNegativeInt, ...] | None = ()
     test_share: Share = 0.15
     code_share: Share = 0.15
     seed: Seed = 0
     engine: EngineName = MUJOCO
     policies: tuple[str, ...] = ("random", "scripted")
-    pulls: PositiveInt = 12
-    stride: PositiveInt = 2
+    pulls: Count = 12
+    stride: Count = 2
     limits: Limits = Limits.UNAMBIGUOUS
     extreme: Share = 0.3
     appearance: AppearanceConfig = AppearanceConfig()
-    rows_per_file: PositiveInt = 500
-    ropes: PositiveInt = 64
-    most_ropes: PositiveInt = 32_768
-    idle: PositiveInt = 6
+    rows_per_file: Count = 500
+    ropes: Count = 64
+    most_ropes: Count = 32_768
+    idle: Count = 6
 
     def __post_init__(self) -> None:
         if self.test_nx == () and len(self.nx) > 1:

@@ -188,6 +188,20 @@ def _acting(result: Result) -> str:
     )
 
 
+def references_of(task: TaskConfig) -> dict[str, Any]:
+    """Return the reference scores of a task as Minari names them, each None if there are none."""
+    usual = TaskConfig(task=task.task)  # the scores are of its rules
+    rules = ("horizon", "hold", "endless", "tow_limit", "reset_noise", "success_reward", "rope")
+    own = all(getattr(task, name) == getattr(usual, name) for name in (*rules, "beads"))
+    protocol = reference_scores().get(f"{task.states or 'readable'}-{task.engine}", {})
+    scores = protocol.get("cells", {}).get(task.name, {}) if own else {}
+    return {
+        "ref_min_score": scores.get("random"),
+        "ref_max_score": scores.get("expert"),
+        "num_episodes_average_score": scores.get("episodes"),
+    }
+
+
 def reference_scores() -> dict[str, Any]:
     """Return what was measured, by states and engine, for example "bench-chain".
 

@@ -2,9 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeInt, PositiveFloat
 
-from knotgym.common import Distinct, InvalidInput, Mark, Seed, configuration
+from knotgym.common import Count, Distinct, InvalidInput, Mark, Seed, configuration
 from knotgym.learn.card import ROPE_READER
 
 HEADS = 4  # of the attention of a clone
@@ -23,9 +23,9 @@ class TrainConfig:
         seed: random seed; the same seed and data give the same weights.
     """
 
-    steps: PositiveInt = 3000
-    batch: PositiveInt = 48
-    save_every: PositiveInt = 200
+    steps: Count = 3000
+    batch: Count = 48
+    save_every: Count = 200
     trials: NonNegativeInt = 0
     seed: Seed = 0
 
@@ -38,7 +38,7 @@ class ReaderConfig(TrainConfig):
         positions: start positions of ropes that are kept, at most.
     """
 
-    positions: PositiveInt = 512
+    positions: Count = 512
 
 
 @configuration
@@ -61,15 +61,15 @@ class CloneConfig(TrainConfig):
         device: where the network is trained; "cuda" rounds otherwise than "cpu".
     """
 
-    steps: PositiveInt = 4000
-    batch: PositiveInt = 128
-    save_every: PositiveInt = 100
+    steps: Count = 4000
+    batch: Count = 128
+    save_every: Count = 100
     trials: NonNegativeInt = 64
     guided: bool = False
     rate: PositiveFloat = 1e-3
-    width: PositiveInt = 96
-    layers: PositiveInt = 2
-    demonstrations: NonNegativeInt = 0
+    width: Count = 96
+    layers: Count = 2
+    demonstrations: Annotated[NonNegativeInt, Field(le=10**9)] = 0
     copies: Annotated[int, Field(ge=0, le=20)] = 0
     task: tuple[Literal["tie", "convert", "unknot"], ...] = ("tie",)
     nx: Annotated[tuple[NonNegativeInt, ...], Distinct] = (2,)

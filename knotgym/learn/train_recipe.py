@@ -31,6 +31,8 @@ from knotgym.learn.training_data import TOGETHER, Examples, TrainingData, demons
 from knotgym.rope import CHAIN, RopeConfig
 from knotgym.runs import Call, Progress, Recipe, RunOptions, identity, run
 
+_MADE = ("demonstrations", "copies", "task", "nx", "split", "states")  # fields of a clone
+
 
 def train(
     datasets: Sequence[Any],
@@ -81,7 +83,8 @@ def train(
     )
     card = {
         "knotgym": knotgym.__version__,
-        "config": whole["config"],
+        # without what says how demonstrations are made, where none are
+        "config": {n: v for n, v in whole["config"].items() if demonstrations or n not in _MADE},
         "data": by_name((part.name, sha256(part.path)) for part in parts),
         "updates": config.steps,
         "trained_on": _trained_on(opened, config),

@@ -8,7 +8,6 @@ from knotgym import runs
 from knotgym.cli import Given, command
 from knotgym.common import MissingExtra
 from knotgym.play.page_config import PageConfig
-from knotgym.states import states_mark
 
 
 @command({"": PageConfig}, "task.task task.nx policy.policy port")
@@ -31,6 +30,7 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
     config, progress = given.config(PageConfig), given.progress
     MissingExtra.imported("viser", "play", "knotgym play")
     from knotgym.play.page import serve  # needs viser
+    from knotgym.states import states_mark
 
     runs.compile_first(progress, engine=config.task.engine)
     task, dataset = config.task, ""

@@ -19,9 +19,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import PositiveInt
-
-from knotgym.common import InvalidInput, Seed, choice, configuration
+from knotgym.common import Count, InvalidInput, Seed, choice, configuration
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 
@@ -54,12 +52,12 @@ class PromptConfig:
     mode: Annotated[str, choice(*MODES)] = "stateless"
     chat: ChatConfig
     task: TaskConfig = TaskConfig(task="tie", image_size=256)
-    episodes: PositiveInt = 100
+    episodes: Count = 100
     seed: Seed = 0
-    window: PositiveInt = 4
+    window: Count = 4
     tell_centre: bool = False
     pictures: tuple[str, ...] = ()
-    side_by_side: PositiveInt = 4
+    side_by_side: Count = 4
 
     def __post_init__(self) -> None:
         if self.task.views != ("top",) or self.task.depth:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import timedelta
+from functools import partial
 
 from rich import box
 from rich.console import Console
@@ -20,6 +21,7 @@ from knotgym.common import Counts
 
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 _NONE: Mapping[str, object] = {}
+_console = partial(Console, emoji=False, markup=False)  # names of others are shown as they are
 _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
 
 
@@ -42,10 +44,10 @@ class Progress:
     ) -> None:
         # Keep the stream of now: `sys.stdout` is redirected while pyknotid runs, to hide its
         # output, and the live line must not follow.
-        self.console = console or Console(file=sys.stdout)
+        self.console = console or _console(file=sys.stdout)
         shown = self.console
         if not shown.is_terminal and console is None and sys.stderr.isatty():
-            shown = Console(file=sys.stderr)  # output is piped, but a person is watching
+            shown = _console(file=sys.stderr)  # output is piped, but a person is watching
         live = shown.is_terminal and not quiet
         self._bars = Bars(
             TextColumn("{task.description}", style="bold", markup=False),
@@ -69,7 +71,7 @@ class Progress:
         self._told = self._began  # when anything was printed last
         self._over, self.quiet, plain = threading.Event(), quiet, not quiet and not live
         self._lines, self._waits = plain and lines, plain and not lines
-        self._printed = console or Console(file=sys.stderr)
+        self._printed = console or _console(file=sys.stderr)
 
     def __enter__(self) -> Progress:
         self._bars.start()

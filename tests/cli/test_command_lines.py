@@ -38,10 +38,21 @@ def here(tmp_path: Path, monkeypatch: Patch) -> dict[str, str]:
     os.mkfifo(folder / "fifo")
     (folder / "text").write_text("neither JSON nor a table\n", encoding="utf-8")
     (folder / "list.json").write_text("[1]", encoding="utf-8")
+    (folder / "twice.json").write_text('{"seed": 1, "seed": 2}', encoding="utf-8")
     (folder / "mood.toml").write_text("mood = 1\n", encoding="utf-8")
     (folder / "dicts").write_text('{"task": {"task": {}}}', encoding="utf-8")
     (folder / "trefoil").write_text("4 6 2", encoding="utf-8")
-    names = ("fifo", "trefoil", "text", "list.json", "mood.toml", "dicts", "new", "absent")
+    names = (
+        "fifo",
+        "trefoil",
+        "text",
+        "list.json",
+        "twice.json",
+        "mood.toml",
+        "dicts",
+        "new",
+        "absent",
+    )
     return {**{name: str(folder / name) for name in names}, "states": str(shipped("hard-unknots"))}
 
 
@@ -102,6 +113,10 @@ REFUSED = [
     ("collect --settings {fifo}", "isn't a regular file"),
     ("collect --settings {text}", "can't be read as JSON"),
     ("collect --settings {mood.toml}", "has no field 'mood'"),
+    ("collect --settings {twice.json}", "key 'seed' is there twice"),
+    ("collect --episodes 100000000000000000000000000", "episodes must be at most 1000000000"),
+    ("collect --set steps=100000000000000000000000000", "steps must be at most 1000000000"),
+    ("evaluate --episodes 100000000000000000000000000", "episodes must be at most 1000000000"),
     ("collect --episodes -1", "episodes must be above 0, got -1"),
     ("collect --set task.beads=1001", "task.beads must be at most 1000, got 1001"),
     ("collect --task plait", "must be one of unknot, tie, convert or a list, got 'plait'"),

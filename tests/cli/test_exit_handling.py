@@ -1,6 +1,7 @@
 """How a command ends: one line on standard error and its status, whatever happens."""
 
 import importlib.util
+import os
 import sys
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -94,3 +95,20 @@ def test_a_link_is_not_imported_by_its_bare_name(name: str) -> None:
     run = python("-c", f"import {name}", cwd=ROOT)
     assert run.returncode == 1
     assert f"import knotgym.{name}" in run.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "before, named, said",
+    [
+        ("os.rmdir(os.getcwd())", {}, "the current folder is gone: change to another"),
+        ("pass", {"NUMBA_DISABLE_JIT": "1"}, "NUMBA_DISABLE_JIT is set, and kernels must be"),
+    ],
+)
+def test_a_place_in_which_nothing_can_run_is_one_line(
+    before: str, named: dict[str, str], said: str, tmp_path: Path
+) -> None:
+    script = f"import os\n{before}\nfrom knotgym.cli import program\n"
+    script += "program.main(['dataset', 'show', 'readable'])"
+    run = python("-c", script, cwd=tmp_path, env={**os.environ, **named, "PYTHONPATH": str(ROOT)})
+    assert run.returncode == 2 and run.stderr.startswith(f"knotgym: {said}")
+    assert run.stderr.count("\n") == 1

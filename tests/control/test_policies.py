@@ -134,6 +134,7 @@ class Own:
     absent_bead = wrong(lambda p, ids: Pulls(ids, ids + 100, np.zeros((len(ids), 3), np.float32)))
     raising = wrong(_raise)
     far, nothing, short = giving([0.0] * 5 + [7.0]), giving(float("nan")), giving([0.0] * 5)
+    imaginary = giving(np.zeros(6, np.complex64))
     three = 3
 
     @staticmethod
@@ -269,6 +270,7 @@ def test_functions_objects_and_policies_of_the_user_act(name: str, pull: float) 
     [
         ("far", "must give 6 finite numbers in .* got .*7.0"),
         ("nothing", "must give 6 finite numbers"),
+        ("imaginary", "must give 6 finite numbers"),
         ("short", "must give 6 finite numbers .* got .0.0, 0.0, 0.0, 0.0, 0.0."),
         ("faulty", "own:faulty raised KeyError: 'no such weight' .test_policies.py, line"),
         ("leaving", "own:leaving raised SystemExit.* .test_policies.py, line"),

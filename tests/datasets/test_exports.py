@@ -15,7 +15,7 @@ from pytest_types import Patch
 from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common import InvalidFile, InvalidInput
-from knotgym.control import replay, verify
+from knotgym.control import replay
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.cards import citation_file
 from knotgym.datasets.episodes import gauss_codes
@@ -23,6 +23,7 @@ from knotgym.datasets.exports import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located
 from knotgym.datasets.subsets import delete, merge
+from knotgym.generate import verify
 from knotgym.states import read_states
 
 from ..fresh_interpreter import python

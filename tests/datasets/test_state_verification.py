@@ -156,3 +156,19 @@ def test_a_changed_file_and_a_missing_one_are_named(light: Path) -> None:
     ]
     (light / "manifest.json").write_text("[]")
     assert next(_folder_faults(light, replay)).startswith("manifest.json can't be read: ")
+
+
+def test_states_without_a_source_are_checked_in_all_else(pair: States) -> None:
+    """Curves of one's own have none; a fault of theirs isn't hidden behind that."""
+    own = States.from_points(pair.points)
+    missing = [*_state_faults(own)]
+    assert missing and all("source/" in one and "is missing" in one for one in missing)
+    mirrored = own.points * [-1, 1, 1]
+    copies = States.from_points(np.concatenate([own.points, own.points[1:]]))
+    for wrong, said in (
+        (altered(own, "gauss_code", 1, "1-,1+,2+,2-"), "row 1: gauss_code is"),
+        (altered(own, "nx", 0, 2), "row 0: nx is 2, recomputed 0"),
+        (own.replaced({"points": mirrored}), "row 1: points are not those of qpos"),
+        (altered(copies, "split", 2, "test"), "are near-duplicates"),
+    ):
+        assert any(said in one for one in _state_faults(wrong)), said

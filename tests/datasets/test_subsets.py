@@ -15,7 +15,7 @@ from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.subsets import _matching_rows, _write_rows, kept, merge
 from knotgym.loaders import arrays
-from knotgym.states import read_states, shipped, write_states
+from knotgym.states import States, read_states, shipped, write_states
 
 COLUMNS = {
     "row": np.arange(4),
@@ -219,6 +219,12 @@ def test_what_does_not_belong_together_is_not_merged(states_path: str, tmp_path:
     ):
         with pytest.raises(InvalidInput, match=says):
             merge(given, tmp_path / "m.h5")
+    known = read_states(states_path).take([12])
+    copies = States.from_points(known.points[:, ::-1] + [0.1, 0, 0], "test")  # from another base
+    for name, own in (("k", known.replaced({"split": np.array(["train"])})), ("l", copies)):
+        write_states(tmp_path / f"{name}.h5", own)
+    with pytest.raises(InvalidInput, match="near-duplicates: 0.0 mm"):
+        merge([str(tmp_path / "k.h5"), str(tmp_path / "l.h5")], tmp_path / "m.h5")
     with pytest.raises(MissingFile):
         merge([one, "nothing"], tmp_path / "m.h5")
     assert not (tmp_path / "m.h5").exists()

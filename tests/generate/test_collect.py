@@ -5,15 +5,17 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import h5py
 import numpy as np
 import pytest
 from pytest_types import Capture, Patch
 
 from knotgym.common import InvalidInput, Stream, sha256
-from knotgym.control import PolicyConfig, PullPlannerConfig, verify
+from knotgym.control import PolicyConfig, PullPlannerConfig
 from knotgym.datasets import columns_of, merge, open_episodes, select, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import collection as collecting
+from knotgym.generate import verify
 from knotgym.generate.collection import _distinct_id, collect, run_facts
 from knotgym.generate.episode_configs import CollectConfig
 from knotgym.rope import RopeConfig
@@ -28,6 +30,27 @@ CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizo
 def config(**settings: Any) -> CollectConfig:
     policy = PolicyConfig(policy=settings.pop("policy", "random"))
     return CollectConfig(**{"task": CHAIN, "policy": policy, "episodes": 6, **settings})
+
+
+@pytest.mark.parametrize(
+    "name, value", [("ref_min_score", 3.0), ("algorithm_name", "expert"), ("author", ["Eve"])]
+)
+def test_metadata_that_are_not_the_run_s_or_the_task_s_are_faults(
+    name: str, value: Any, tmp_path: Path
+) -> None:
+    """Minari normalizes returns by the reference scores that stand in the file."""
+    usual = replace(CHAIN, horizon=TaskConfig(task="tie").horizon)
+    asked = config(task=usual, episodes=2, author=("Ann",))
+    file = collect(asked, tmp_path, QUIET) / "data" / "episodes.h5"
+    assert verify(file) == []
+    with h5py.File(file, "r+") as opened:
+        about = json.loads(opened.attrs["metadata"]) | {name: value}
+        del opened.attrs["metadata"]
+        opened.attrs["metadata"] = np.bytes_(json.dumps(about))
+    for made in ("main_data.hdf5", "metadata.json"):
+        (file.parent / made).unlink()
+    (fault,) = verify(file)
+    assert f"{name} is" in fault
 
 
 def test_the_dataset_has_its_id_and_holds_every_episode(tmp_path: Path) -> None:

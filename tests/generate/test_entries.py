@@ -9,12 +9,13 @@ import h5py
 import numpy as np
 import pytest
 from pytest_types import Capture, Patch
+from rich.console import Console
 
-from knotgym.common import KnotgymError, Table
-from knotgym.control import PolicyConfig, verify
+from knotgym.common import InvalidFile, KnotgymError, Table
+from knotgym.control import PolicyConfig
 from knotgym.datasets import EpisodeDataset, Episodes, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry
+from knotgym.generate import EvaluateConfig, Result, compare, evaluate, read_entry, verify
 from knotgym.generate.entries import Entry
 from knotgym.runs import RunOptions
 
@@ -58,6 +59,15 @@ def test_replaying_counts_what_was_counted(made: Made) -> None:
     said = entry_at(path).claimed
     assert said[0]["simulated_per_pull"] > 0 == said[1]["simulated_per_pull"]
     assert said[0]["files"] and said[0]["plans"] and not said[1]["plans"]
+
+
+def test_an_entry_is_verified_and_a_damaged_one_said_to_be_one(made: Made, tmp_path: Path) -> None:
+    assert verify(made[0]) == []
+    damaged = tmp_path / "e.h5"
+    for cut in (slice(0, 4000), slice(4, None)):
+        damaged.write_bytes(made[0].read_bytes()[cut])
+        with pytest.raises(InvalidFile, match="neither an entry .* nor a file of --out"):
+            compare([damaged, made[0]], Console())
 
 
 def test_an_entry_claims_what_its_policy_s_module_says(tmp_path: Path, monkeypatch: Patch) -> None:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pytest_types import Capture
 
 from knotgym.common import InvalidInput
-from knotgym.control import verify
 from knotgym.drawing import drawn_curve
+from knotgym.generate import verify
 from knotgym.generate.curve_files import read_curves
 from knotgym.generate.imported_curves import _shown_code, import_curves
 from knotgym.rope import Rope, RopeConfig

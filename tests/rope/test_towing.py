@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control import Policy, PolicyConfig, make_policy, rollouts, verify
+from knotgym.control import Policy, PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes, write_episodes
 from knotgym.envs import KnotEnv, TaskConfig
+from knotgym.generate import verify
 from knotgym.rope.actions import TowBound
 
 from ..envs.test_env import goal_is_shown

@@ -89,6 +89,12 @@ def shown(*done: int) -> str:
     return written.getvalue()
 
 
+def test_names_are_no_pictograms_and_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress() as progress:
+        progress.console.print("c.csv:a: [red]x[/red]", highlight=False)
+    assert capsys.readouterr().out == "c.csv:a: [red]x[/red]\n"
+
+
 def test_work_without_a_count_is_named_again_and_again(monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
     written = io.StringIO()
