@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import h5py
 import numpy as np
 import pytest
 from pytest_types import Capture, Patch
@@ -43,12 +42,11 @@ def test_metadata_that_are_not_the_run_s_or_the_task_s_are_faults(
     asked = config(task=usual, episodes=2, author=("Ann",))
     file = collect(asked, tmp_path, QUIET) / "data" / "episodes.h5"
     assert verify(file) == []
-    with h5py.File(file, "r+") as opened:
-        about = json.loads(opened.attrs["metadata"]) | {name: value}
-        del opened.attrs["metadata"]
-        opened.attrs["metadata"] = np.bytes_(json.dumps(about))
-    for made in ("main_data.hdf5", "metadata.json"):
-        (file.parent / made).unlink()
+    made = open_episodes(file)
+    about = {**(made.metadata or {}), name: value}
+    write_episodes(file, [made.episodes], made.task, {**made.facts, "metadata": about})
+    for theirs in ("main_data.hdf5", "metadata.json"):
+        (file.parent / theirs).unlink()
     (fault,) = verify(file)
     assert f"{name} is" in fault
 
