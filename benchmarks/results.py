@@ -1,76 +1,61 @@
 """The board: from the entries in `benchmarks/entries`, beside published scores.
 
-    python benchmarks/results.py [--check]
+    python benchmarks/results.py [--check | --all]
 
-Replays every entry, and makes `docs/benchmark.md`, its picture and the rows of README's table that
-have entries from what it counts. The page's text, and rows without an entry, which it shows as
-reported, are in `benchmarks/page.md`. With --check nothing is written: the status is 1 if a file
-would differ. Needs SciPy (the extra `check`).
+Replays the entries that are new or changed, and makes `docs/benchmark.md`, its picture and README's
+table from what it counts. What it counted stands in `benchmarks/ledger.json`, by the digest of the
+entry, so a new entry takes seconds. --check writes nothing and trusts less: it replays what is new
+since the last commit and a tenth of the rest, drawn by the commit, and ends with 1 if a file would
+differ. --all replays everything. The page's text is in `benchmarks/page.md`. Needs SciPy (the extra
+`check`).
+
+A cell is a protocol, an engine, a task and nx. An entry that has no protocol, or other rules than
+its own, is refused by name, and so are entries that share episodes. What others wrote is text: a
+row's key is the name of its file, and names are escaped. A policy of the package is played again.
 """
 
+import json
 import re
+import subprocess
 import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from board_rows import UNLEARNED, Refused, Row, require_apart, rows_of
 from numpy.typing import NDArray
 from seeds import CELLS, CHANGES, LEARNERS, ORDERED, SEEDS
 
-from knotgym.common import atomic_write
-from knotgym.generate import Result, SuiteConfig, read_entry
-from knotgym.rope import CHAIN
+from knotgym.common import KnotgymError, atomic_write, one_line
+from knotgym.generate import SuiteConfig
 from knotgym.runs import cluster_interval
 
 ROOT = Path(__file__).parents[1]
-ENTRIES, TEXT = ROOT / "benchmarks" / "entries", ROOT / "benchmarks" / "page.md"
+BENCHMARKS = ROOT / "benchmarks"
+ENTRIES, TEXT = BENCHMARKS / "entries", BENCHMARKS / "page.md"
 SUITE = SuiteConfig.SUITE
-SETUPS = list(product(SUITE["tasks"], SUITE["nx"]))
-BENCH = ("bench", "test", True, False)
-# rows of README's table: how they begin, and the learner, tier and track of their entries
-SHOWN = {
-    "| `bench`, chain | random actions ": ("random", "", BENCH),
-    "| | [d3rlpy": ("d3rlpy recipe", "", BENCH),
-    "| | [DiscreteBC": ("DiscreteBC", "100k", BENCH),
-    "| | [torch": ("torch recipe", "", BENCH),
-    "| | `expert`": ("expert", "", BENCH),
-    "| `readable`, MuJoCo | random actions ": ("random", "", ("readable", "test", False, False)),
-}
-MOST = 16  # rows that are named of each cell
-NO_LEARNERS = ("random", "scripted", "expert")
+SETUPS, BENCH_ENGINE = list(product(SUITE["tasks"], SUITE["nx"])), SUITE["bench"]["engine"]
+_OUTCOMES = ("start", "goal", "success")
+CLONERS = ("BC", "DiscreteBC", "GCBC", "d3rlpy recipe", "torch recipe")
+# entries that the project's own scripts made, of which README's table is
+OURS = re.compile(r"random|random-macro|expert|matching|recipe-\w+|((tie|convert)-nx\d-[-\w]+)")
+# rows of README's table: how they are called, what they see, and whose they may be
+Fits = Callable[[str, str], bool]
+SHOWN: tuple[tuple[str, str, Fits], ...] = (
+    ("random pulls", "nothing", lambda name, tier: name == "random"),
+    ("random macro-actions", "nothing", lambda name, tier: name == "random macro-actions"),
+    ("`matching`, follows a shape", "vertices", lambda name, tier: name == "matching"),
+    ("cloning: {}", "its code", lambda name, tier: name in CLONERS),
+    ("best of `noisy`: {}", "its code", lambda name, tier: "noisy" in tier),
+    ("best of `wander`: {}", "its code", lambda name, tier: "wander" in tier),
+    ("`expert`, plans in the simulator", "its code", lambda name, tier: name == "expert"),
+)
+MOST = 16  # states named of each cell
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#999999")
 Floats = NDArray[np.float64]
-Track = tuple[str, str, bool, bool]  # states, split, chain engine, macro-actions
-
-
-class Row(NamedTuple):
-    """A result of an entry, and what its learner is called: its name and the tier of its set."""
-
-    learner: str
-    tier: str
-    track: Track
-    result: Result
-
-
-def rows_of(path: Path) -> Iterator[Row]:
-    """The results of an entry, which is replayed."""
-    entry = read_entry(path)
-    if entry is None:
-        raise SystemExit(f"{path} isn't an entry")
-    config = entry.config
-    for (one, faults), claimed in zip(entry.recounted(), entry.claimed, strict=True):
-        if faults:
-            raise SystemExit(f"{path}: {faults[0]}")
-        training = claimed["training"]
-        name = training.get("learner", one.policy) if ":" in one.policy else one.policy
-        (tier,) = {*re.findall(r"-(\d+[kM])-v0", " ".join(training.get("data", {})))} or {""}
-        in_chain, in_macros = config.task.engine == CHAIN, one.action == "macro"
-        yield Row(
-            name, tier, (config.task.states or "readable", one.split, in_chain, in_macros), one
-        )
 
 
 def table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> list[str]:
@@ -78,61 +63,60 @@ def table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> list[str]
     return [f"| {' | '.join(map(str, one))} |" for one in (head, ["---"] * len(head), *rows)]
 
 
-def over_seeds(found: Sequence[Result]) -> tuple[float, float, float]:
-    """The rate of results of one cell, and its interval over states and, of several, seeds."""
-    if len(found) == 1:
-        return found[0].success_rate, found[0].low, found[0].high
-    names = found[0].outcomes
-    parts = {name: [k for one in found for k in one.outcomes[name]] for name in names}
-    seeds = np.repeat(range(len(found)), [one.episodes for one in found])
-    interval = cluster_interval(parts["success"], parts["start"], parts["goal"], seeds)
-    return float(np.mean(parts["success"])), *interval
+def over_seeds(found: Sequence[Row]) -> tuple[float, float, float]:
+    """The rate of rows of one cell, and its interval over states and, of several, seeds."""
+    parts = [np.concatenate([getattr(one, name) for one in found]) for name in _OUTCOMES]
+    seeds = [np.repeat(range(len(found)), [len(one.success) for one in found])]
+    parts += seeds[: len(found) > 1]
+    interval = cluster_interval(parts[2].tolist(), parts[0], parts[1], *parts[3:])
+    return float(parts[2].mean()), *interval
+
+
+def share(rate: float, cell: tuple[str, str, int], protocol: str, rows: Sequence[Row]) -> str:
+    """A rate on the scale from the best row that doesn't learn, 0, to the expert, 100."""
+    here = [one for one in rows if one.cell == cell and protocol in one.protocols]
+    low = [one.rate for one in here if one.learner in UNLEARNED]
+    high = [one.rate for one in here if one.learner == "expert"]
+    if not (low and high and high[0] > max(low)):
+        return ""
+    return f", {100 * (rate - max(low)) / (high[0] - max(low)):.0f}"
 
 
 def boards(rows: Sequence[Row]) -> Iterator[str]:
-    """A table for each set of states, split, engine and kind of action."""
-    for track in sorted({row.track for row in rows}):
-        states, split, in_chain, in_macros = track
-        body: list[tuple[object, ...]] = []
-        own = [row for row in rows if row.track == track]
-        played = {(row.result.task, row.result.nx) for row in own}
-        setups = [setup for setup in SETUPS if setup in played]
-        head = ("learner", "seeds", *(f"{task} {nx}" for task, nx in setups))
-        for learner, tier in sorted({(row.learner, row.tier) for row in own}):
-            mine = [row.result for row in own if (row.learner, row.tier) == (learner, tier)]
-            cells = [[one for one in mine if (one.task, one.nx) == setup] for setup in setups]
-            shown = [
-                "**{:.1f}** ({:.0f} to {:.0f})".format(*(100 * one for one in over_seeds(cell)))
-                if cell
-                else ""
-                for cell in cells
-            ]
-            body.append((learner + f", {tier}" * bool(tier), max(map(len, cells)), *shown))
-        yield (
-            f"### States {states}, {split} split"
-            + ", chain engine" * in_chain
-            + (", macro-actions" * in_macros)
-        )
-        yield from ("", *table(head, body), "")
+    """A table for each protocol and engine."""
+    for protocol, engine in sorted({(own, row.engine) for row in rows for own in row.protocols}):
+        own = [row for row in rows if row.engine == engine and protocol in row.protocols]
+        cells = sorted({row.cell for row in own})
+        body = []
+        for who in sorted({row.who for row in own}):
+            mine = {cell: [r for r in own if (r.who, r.cell) == (who, cell)] for cell in cells}
+            _, learner, tier, action = who
+            shown = []
+            for cell, found in mine.items():
+                rate, low, high = over_seeds(found) if found else (0.0, 0.0, 0.0)
+                interval = (
+                    f"({100 * low:.0f} to {100 * high:.0f}{share(rate, cell, protocol, own)})"
+                )
+                shown.append(f"**{100 * rate:.1f}** {interval}" if found else "")
+            sizes = sorted({len(one.success) for found in mine.values() for one in found})
+            several = max(map(len, mine.values()))
+            named = learner + f", {tier}" * bool(tier)
+            body.append((named, several, action, ", ".join(map(str, sizes)), *shown))
+        yield f"### {protocol}, {engine} engine\n"
+        names = (f"{task} {nx}" for _, task, nx in cells)
+        yield from table(("learner", "seeds", "acts in", "N", *names), body)
+        yield ""
 
 
 def grid(rows: Sequence[Row]) -> dict[str, Floats]:
     """Success rates of the learners with several seeds, (learners, seeds), by cell of `seeds`."""
     found: dict[str, Floats] = {}
-    for name, (task, nx, tier, _) in CELLS.items():
-        rates = [
-            [
-                row.result.success_rate
-                for row in rows
-                if (row.learner, row.tier, row.track)
-                == (learner, tier, ("bench", "test", True, False))
-                and (row.result.task, row.result.nx) == (task, nx)
-            ]
-            for learner in LEARNERS
-        ]
+    for name in CELLS:
+        own = [row for row in rows if row.source == name]
+        rates = [[row.rate for row in own if row.learner == learner] for learner in LEARNERS]
         if all(rates):
             count = min(map(len, rates))
-            found[name] = np.array([own[:count] for own in rates])
+            found[name] = np.array([each[:count] for each in rates])
     return found
 
 
@@ -269,33 +253,32 @@ def profile(cells: dict[str, Floats]) -> str:
 
 
 def hard_starts(rows: Sequence[Row]) -> Iterator[str]:
-    """For each cell of bench: random, the best learner, and what every learner fails on."""
+    """For each cell of protocol code: random, the best learner, what every learner fails on."""
     body, failed = [], dict[str, list[int]]()
-    for task, nx in SETUPS:
-        here = [row for row in rows if row.track[:3] == BENCH[:3]]
-        own = [row for row in here if (row.result.task, row.result.nx) == (task, nx)]
-        learners = [row for row in own if row.learner not in NO_LEARNERS]
-        rates = {row.learner: 100 * row.result.success_rate for row in own}
+    own = [row for row in rows if "code" in row.protocols and row.engine == BENCH_ENGINE]
+    for cell in sorted({row.cell for row in own}):
+        here = [row for row in own if row.cell == cell]
+        learners = [row for row in here if row.learner not in (*UNLEARNED, "expert")]
+        rates = {row.learner: 100 * row.rate for row in here}
         if not learners:
             continue
-        best = max(learners, key=lambda row: row.result.success_rate)
-        side = "goal" if task == "tie" else "start"  # the other one of tie is a plain loop
+        best = max(learners, key=lambda row: row.rate)
+        name = " ".join(map(str, cell[1:]))
         tangled: dict[int, list[int]] = {}
         for row in learners:
-            found = row.result.outcomes
-            for state, done in zip(found[side], found["success"], strict=True):
+            side = row.goal if row.task == "tie" else row.start  # the other is a plain loop
+            for state, done in zip(side.tolist(), row.success.tolist(), strict=True):
                 tangled.setdefault(state, []).append(done)
-        failed[f"{task} {nx}"] = sorted(state for state, done in tangled.items() if not any(done))
-        share = 100 * len(failed[f"{task} {nx}"]) / len(tangled)
-        told = [f"{rates[name]:.1f}" if name in rates else "" for name in ("random", "expert")]
-        shown = f"{100 * best.result.success_rate:.1f} ({best.learner})"
-        body.append((f"{task} {nx}", *told, shown, len(learners), f"{share:.1f} of {len(tangled)}"))
+        failed[name] = sorted(state for state, done in tangled.items() if not any(done))
+        rest = f"{100 * len(failed[name]) / len(tangled):.1f} of {len(tangled)}"
+        told = [f"{rates[one]:.1f}" if one in rates else "" for one in ("random", "expert")]
+        body.append((name, *told, f"{100 * best.rate:.1f} ({best.learner})", len(learners), rest))
     head = ("cell", "random", "expert", "best learner", "trainings", "all fail on, % of states")
     yield from table(head, body)
     yield ""
-    for cell, states in failed.items():
+    for name, states in failed.items():
         if states:
-            yield f"{cell}, rows of `bench`: {', '.join(map(str, states[:MOST]))}\n"
+            yield f"{name}, rows of `bench`: {', '.join(map(str, states[:MOST]))}\n"
 
 
 def page(rows: Sequence[Row]) -> str:
@@ -307,60 +290,103 @@ def page(rows: Sequence[Row]) -> str:
         "hard": hard_starts(rows),
         "published": table(("learner", *(f"{task} {nx}" for task, nx in SETUPS)), published),
     }
-    text = TEXT.read_text(encoding="utf-8")
+    whole = TEXT.read_text(encoding="utf-8")
     for name, lines in parts.items():
-        text = text.replace(f"<!-- {name} -->", "\n".join(lines).rstrip("\n"))
-    return text
+        whole = whole.replace(f"<!-- {name} -->", "\n".join(lines).rstrip("\n"))
+    return whole
 
 
-def readme(text: str, rows: Sequence[Row]) -> str:
-    """README with the rates of the rows that have entries."""
-    for begins, wanted in SHOWN.items():
-        found: dict[tuple[str, int], list[float]] = {}
-        for row in rows:
-            if (row.learner, row.tier, row.track) == wanted:
-                own = found.setdefault((row.result.task, row.result.nx), [])
-                own.append(100 * row.result.success_rate)
-        if not found:
+def readme(text_: str, rows: Sequence[Row]) -> str:
+    """README with its table: who doesn't learn, the best of each kind, and the expert."""
+    cells = [(BENCH_ENGINE, task, nx) for task, nx in product(("tie", "convert"), (2, 3))]
+    whose: dict[tuple[str, ...], dict[Any, list[float]]] = {}
+    for row in rows:
+        if row.cell in cells and OURS.fullmatch(row.source):
+            whose.setdefault(row.who, {}).setdefault(row.cell, []).append(100 * row.rate)
+    shown = []
+    for says, sees, fits in SHOWN:
+        fit = [one for who, one in whose.items() if fits(who[1], who[2])]
+        names = [who for who, one in whose.items() if fits(who[1], who[2])]
+        if not fit:
             continue
-        rates = {cell: f"{np.mean(own):.1f}".replace("100.0", "100") for cell, own in found.items()}
-        cells = [
-            ", ".join(rates.get((task, nx), "-") for nx in SUITE["nx"]) for task in SUITE["tasks"]
-        ]
-        cells = ["-" if not re.search(r"\d", cell) else cell for cell in cells]
-        pattern = re.compile(rf"^({re.escape(begins)}[^|]*\|).*$", re.M)
-        text, made = pattern.subn(rf"\1 {' | '.join(cells)} |", text)
-        if made != 1:
-            raise SystemExit(f"README.md has {made} rows that begin with {begins!r}")
-    return text
+        means = [{cell: float(np.mean(own)) for cell, own in one.items()} for one in fit]
+        best = max(range(len(fit)), key=lambda k: (len(means[k]), sum(means[k].values())))
+        rates = (f"{means[best][cell]:.1f}" if cell in means[best] else "-" for cell in cells)
+        shown.append((says.format(", ".join(filter(None, names[best][1:3]))), sees, *rates))
+    head = ("policy", "sees of the goal", *(f"{task} {nx}" for _, task, nx in cells))
+    lines = "\n".join(table(head, shown))
+    made, count = re.subn(
+        r"(<!-- board -->\n).*?(?=<!-- end of board -->)",
+        lambda found: f"{found[1]}\n{lines}\n\n",
+        text_,
+        flags=re.S,
+    )
+    if count != 1:
+        raise SystemExit("README.md has no one place for the board")
+    return made
+
+
+def replayed_in_ci(paths: Sequence[Path], ledger: dict[str, Any]) -> set[Path]:
+    """The entries that --check replays: new since the last commit, and a tenth of the rest."""
+
+    def git(*words: str) -> str:
+        made = subprocess.run(
+            ("git", "-C", ROOT, *words), capture_output=True, text=True, check=False
+        )
+        return made.stdout if made.returncode == 0 else ""
+
+    before = json.loads(git("show", "HEAD~1:benchmarks/ledger.json") or '{"entries": {}}')
+    old = [
+        one
+        for one in paths
+        if ledger["entries"].get(one.name) == before["entries"].get(one.name, 0)
+    ]
+    rng = np.random.default_rng(int(git("rev-parse", "HEAD").strip()[:12] or "0", 16))
+    drawn = rng.permutation(len(old))[: -(-len(old) // 10)]
+    return {*paths} - {one for k, one in enumerate(old) if k not in drawn}
 
 
 def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; 1 if a file differs")
+    parser.add_argument("--all", action="store_true", help="replay every entry")
     parser.add_argument("--entries", type=Path, default=ENTRIES, help="folder of entries")
     parser.add_argument("--root", type=Path, default=ROOT, help="folder of README.md and docs")
     given = parser.parse_args()
-    rows = [row for path in sorted(given.entries.glob("*.h5")) for row in rows_of(path)]
-    played = [
-        (*row[:3], row.result.task, row.result.nx, *row.result.outcomes.values()) for row in rows
-    ]
-    for k, one in enumerate(played):
-        if one in played[:k]:
-            sys.exit(f"two entries of {one[0]}, {one[3]} nx {one[4]}, hold the same episodes")
+    paths, place = sorted(given.entries.glob("*.h5")), given.root / "benchmarks" / "ledger.json"
+    ledger: dict[str, Any] = {"episodes": {}, "entries": {}}
+    if place.is_file():
+        ledger = json.loads(place.read_text(encoding="utf-8"))
+    ledger["entries"] = {k: v for k, v in ledger["entries"].items() if given.entries / k in paths}
+    again = replayed_in_ci(paths, ledger) if given.check else {*paths} if given.all else set()
+    rows, faults = list[tuple[Row, list[bytes]]](), list[str]()
+    for number, path in enumerate(paths, 1):
+        print(f"{number} of {len(paths)}: {path.name}", file=sys.stderr)
+        try:
+            own = [*rows_of(path, ledger, path in again)]
+            require_apart([*rows, *own], len(rows))
+            rows += own
+            if not given.check:  # so that an interrupted run is continued
+                place.write_text(json.dumps(ledger, indent=1) + "\n", encoding="utf-8")
+        except (Refused, KnotgymError, LookupError, TypeError, ValueError) as error:
+            faults.append(f"{path.name} {one_line(str(error))}")
+    if faults:
+        sys.exit("\n".join(faults))
+    found = [row for row, _ in rows]
     made = {
-        "docs/benchmark.md": page(rows),
-        "docs/profile.svg": profile(grid(rows)),
-        "README.md": readme((given.root / "README.md").read_text(encoding="utf-8"), rows),
+        "docs/benchmark.md": page(found),
+        "docs/profile.svg": profile(grid(found)),
+        "README.md": readme((given.root / "README.md").read_text(encoding="utf-8"), found),
+        "benchmarks/ledger.json": json.dumps(ledger, indent=1) + "\n",
     }
-    for name, text in made.items():
+    for name, content in made.items():
         path = given.root / name
-        if path.is_file() and path.read_text(encoding="utf-8") == text:
+        if path.is_file() and path.read_text(encoding="utf-8") == content:
             continue
         if given.check:
             sys.exit(f"{name} isn't what the entries make: run benchmarks/results.py")
         with atomic_write(path, overwrite=True) as part:
-            part.write_text(text, encoding="utf-8")
+            part.write_text(content, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -286,6 +286,7 @@ def train(name: str, datasets: list[str], steps: int, seed: int, out: Path) -> N
         "parameters": sum(one.numel() for one in learner.policy.parameters()),
         "updates": steps,
         "seed": seed,
+        "action": "decision",
         "seconds": round(time.process_time() - began, 1),
         "command": shlex.join(["python", "examples/learners/offline_torch.py", *sys.argv[1:]]),
     }

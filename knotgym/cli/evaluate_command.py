@@ -9,7 +9,7 @@ from knotgym import generate, runs
 from knotgym.cli.options import RUN, Given, as_typed, command, field_help
 from knotgym.common import InvalidInput, one_line
 from knotgym.control import PolicyConfig
-from knotgym.generate import EvaluateConfig
+from knotgym.generate import PROTOCOLS, EvaluateConfig
 
 Files = Annotated[
     list[Path] | None,
@@ -23,7 +23,7 @@ Policies = Annotated[
 
 @command(
     {"": EvaluateConfig, "policy": PolicyConfig},
-    f"tasks=--task nx splits=--split episodes task.states task.engine {RUN}",
+    f"tasks=--task nx splits=--split episodes protocol task.states task.engine {RUN}",
     lines=False,
 )
 def evaluate(
@@ -45,6 +45,8 @@ def evaluate(
 
         knotgym evaluate --policy random --policy mine:act --task tie --nx 2-4
 
+        knotgym evaluate --protocol code --policy mine:act --record mine.h5
+
     Args:
         out: JSON file to write.
         video: Film of the first episodes of each setup: .gif, or with the extra video .mp4 or
@@ -57,7 +59,10 @@ def evaluate(
     if policy or given.has("policy"):
         typed = ({"policy": name} for name in names)
         more["policies"] = [given.config(PolicyConfig, one, section="policy") for one in typed]
-    config = given.config(EvaluateConfig, more)
+    protocol = given.get("protocol")
+    tasks = given.get("tasks")
+    usual = EvaluateConfig.of_protocol(protocol, tasks) if protocol in PROTOCOLS else {}
+    config = given.config(EvaluateConfig, more, usual=usual)
     files = {"out": out, "video": video, "record": record}
     generate.evaluate(config, given.run, **files, progress=given.progress)
 

@@ -53,7 +53,8 @@ class Mark(NamedTuple):
 
     Attributes:
         word: "states" and "policy" name files, which a run digests and never overwrites; "typed" is
-            what reaches the network or names code, so that no settings file may set it.
+            what reaches the network or names code, so that no settings file may set it. Words of
+            single classes are beside them, such as the roles of fields in `envs.tasks`.
         applies: for which values.
     """
 
@@ -81,6 +82,12 @@ class Mark(NamedTuple):
                 if dataclasses.is_dataclass(one) and isinstance(one, type) and own is not None:
                     for each in own if isinstance(own, (list, tuple)) else [own]:
                         yield from Mark.fields(one, each, word, f"{path}{name}.")
+
+    @staticmethod
+    def values(config: Any, *words: str) -> dict[str, Any]:
+        """Return the fields of a configuration with one of the marks: path -> value."""
+        each = (Mark.fields(type(config), config, word) for word in words)
+        return {path: own for found in each for path, _, own in found}
 
 
 _MOST_JSON = 256 << 20  # largest JSON file that is read, bytes

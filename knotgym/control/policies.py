@@ -3,6 +3,7 @@
 random          uniform in [-1, 1]^6
 constant        (1, 1, 1, 1, 1, 1) at every step, which tows the rope
 scripted        one macro-action after another, without a goal
+matching        pulls the bead farthest from its place in the goal's shape; needs to see the shape
 expert          plans passes; does the same thing in the same state
 noisy           the expert, but each pull is a random one with probability `noise`, after which it
                 looks again; half of the episodes begin with a random pass
@@ -162,6 +163,14 @@ for _row in (
         form="scripted",
         make=lambda config: SimplePolicy(
             "scripted", _later("planning.pass_policies:ScriptedPlayer"), chooses_pulls
+        ),
+    ),
+    PolicyFamily(
+        form="matching",
+        make=lambda config: SimplePolicy(
+            "matching",
+            _later("shape_matching:MatchingPlayer"),
+            _later("shape_matching:MatchingPlayer.compatible_task"),
         ),
     ),
     _planned("expert", PassPlayer),

@@ -49,9 +49,10 @@ class PolicyConfig:
     """Which policy acts, and its settings; where one is wanted, a name stands for its defaults.
 
     Attributes:
-        policy: policy: random, expert, noisy, play or pretrained; a folder written by `knotgym
-            train`; or module:name for your own code: a function of (observation) or (observation,
-            info, generator), or an object with reset and act. More are in docs/learning.md.
+        policy: policy: random, matching, expert, noisy, play or pretrained; a folder written by
+            `knotgym train`; or module:name for your own code: a function of (observation) or
+            (observation, info, generator), or an object with reset and act. More are in
+            docs/learning.md.
         noise: probability that a pull of the noisy policy is random.
         shares: shares of random, scripted, noisy and expert episodes in mixed.
         expert: settings of the expert.

@@ -58,11 +58,6 @@ MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
 _KEPT_FACTS = ("metadata", "run", "selection", "tasks", STATES_DIGEST)
 _SEAL = "attributes"
-# settings of the environment that loaders read; datasets that are loaded together share them
-_READ = (
-    *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
-    *("image_size", "views", "depth", "layout", "camera", "appearance", "renderer"),
-)
 
 
 def joined_task(tasks: Sequence[TaskConfig]) -> TaskConfig:
@@ -328,7 +323,7 @@ def columns_of(source: Any, *, recordings: bool = False) -> EpisodeDataset:
     """
     if isinstance(source, (list, tuple)):
         parts = tuple(columns_of(one) for one in source)
-        require_alike(parts, lambda one: {name: getattr(one.task, name) for name in _READ})
+        require_alike(parts, lambda one: common.Mark.values(one.task, "read", "look"))
         path = Path(" and ".join(str(one.path) for one in parts))
         every = Episodes.merged([one.episodes for one in parts])
         return EpisodeDataset(path, every, parts[0].task, {}, parts=parts)

@@ -22,9 +22,14 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 100_000  # of an episode; arrays of all steps are made before it begins
 _BEADS = range(50, 1001)  # that a rope may have
-# parameters of the rope that its states depend on, and those that the keyword `rope` can't set
-_SHAPE = "length", "radius"
-_NOT_OF_ROPE = frozenset({"beads", "sub_chains", "rooted", "timestep", "frame_skip"})
+
+# Each field has one role, from which follows what datasets and scores must share.
+_RULES = Mark("rules")  # how an episode begins and ends, and what is success
+_PHYSICS = Mark("physics")  # where a pull leads
+_VIEW = Mark("view")  # what is observed, and what an action is
+_LOOK = Mark("look")  # how pictures are drawn
+_NAMED = Mark("named")  # and stands in a dataset's id by its value
+_READ = Mark("read")  # and is read by loaders, as looks are: the same in what is loaded together
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
 TASKS: Kinds[Callable[[int], tuple[int, int]]] = Kinds(
@@ -121,40 +126,41 @@ class TaskConfig:
 
     BEADS: ClassVar = _BEADS
 
-    task: TaskName | Annotated[tuple[TaskName, ...], Distinct]
-    nx: PositiveInt | Annotated[tuple[PositiveInt, ...], Distinct] = 2
-    split: Annotated[str, choice(growing=SPLITS)] = "train"
-    states: Annotated[str, Mark("states")] | None = None
-    engine: EngineName = MUJOCO
-    beads: Annotated[int, Field(ge=_BEADS.start, le=_BEADS[-1])] = 100
-    rope: dict[str, float] | None = None
-    observation: Annotated[str, choice(growing=OBSERVATIONS)] = "pixels"
-    action: Annotated[str, choice(growing=VIEWS)] = "pull"
-    frame: Annotated[str, choice("world", "canonical")] = "world"
-    max_goals: PositiveInt | None = None
-    horizon: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 50
-    hold: PositiveInt = 1
-    endless: bool = False
-    tow_limit: PositiveFloat | None = None
-    reset_noise: Annotated[float, Field(ge=0, lt=1)] = RESET_NOISE
-    image_size: Annotated[int, Field(ge=16, le=2048)] = 128
-    views: Views = ("top",)
-    depth: bool = False
-    layout: Annotated[str, choice(growing=LAYOUTS)] = "beside"
-    camera: CameraName = "orthographic"
-    appearance: AppearanceName = "published"
-    renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
+    task: Annotated[TaskName | Annotated[tuple[TaskName, ...], Distinct], _RULES, _NAMED]
+    nx: Annotated[PositiveInt | Annotated[tuple[PositiveInt, ...], Distinct], _RULES, _NAMED] = 2
+    split: Annotated[str, choice(growing=SPLITS), _RULES, _NAMED] = "train"
+    states: Annotated[Annotated[str, Mark("states")] | None, _RULES, _NAMED] = None
+    engine: Annotated[EngineName, _PHYSICS, _NAMED] = MUJOCO
+    beads: Annotated[int, Field(ge=_BEADS.start, le=_BEADS[-1]), _PHYSICS, _READ] = 100
+    rope: Annotated[dict[str, float] | None, _PHYSICS] = None
+    observation: Annotated[str, choice(growing=OBSERVATIONS), _VIEW, _NAMED, _READ] = "pixels"
+    action: Annotated[str, choice(growing=VIEWS), _VIEW, _READ] = "pull"
+    frame: Annotated[str, choice("world", "canonical"), _VIEW] = "world"
+    max_goals: Annotated[PositiveInt | None, _RULES] = None
+    horizon: Annotated[int, Field(ge=1, le=MOST_STEPS), _RULES] = 50
+    hold: Annotated[PositiveInt, _RULES, _READ] = 1
+    endless: Annotated[bool, _RULES] = False
+    tow_limit: Annotated[PositiveFloat | None, _RULES, _READ] = None
+    reset_noise: Annotated[float, Field(ge=0, lt=1), _RULES] = RESET_NOISE
+    image_size: Annotated[int, Field(ge=16, le=2048), _LOOK] = 128
+    views: Annotated[Views, _LOOK] = ("top",)
+    depth: Annotated[bool, _LOOK] = False
+    layout: Annotated[str, choice(growing=LAYOUTS), _LOOK] = "beside"
+    camera: Annotated[CameraName, _LOOK] = "orthographic"
+    appearance: Annotated[AppearanceName, _LOOK] = "published"
+    renderer: Annotated[str, choice("auto", "opencv", "mujoco"), _LOOK] = "auto"
     # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
-    integrator_steps: Annotated[int, Field(ge=20, le=96)] = 24
-    success_reward: float = 5.0
-    failure_reward: float = -5.0
-    numeric_infos: bool = False
+    integrator_steps: Annotated[int, Field(ge=20, le=96), _PHYSICS] = 24
+    success_reward: Annotated[float, _RULES, _READ] = 5.0
+    failure_reward: Annotated[float, _RULES] = -5.0
+    numeric_infos: Annotated[bool, _VIEW] = False
 
     def __post_init__(self) -> None:
         if self.rope is not None:
             from knotgym.rope import RopeConfig
 
-            known = sorted({one.name for one in fields(RopeConfig)} - _NOT_OF_ROPE)
+            derived = {name for name, *_ in Mark.fields(RopeConfig, {}, "derived")}
+            known = sorted({one.name for one in fields(RopeConfig)} - derived)
             if unknown := sorted(self.rope.keys() - known):
                 raise InvalidInput(
                     f"rope may set {', '.join(known)}; got {', '.join(map(repr, unknown))}"
@@ -264,5 +270,6 @@ class TaskConfig:
         """The rope as far as a state depends on it: the published one with this shape."""
         from knotgym.rope import RopeConfig
 
-        shape = {name: (self.rope or {})[name] for name in _SHAPE if name in (self.rope or {})}
-        return replace(RopeConfig.of(self.beads), **shape)  # type: ignore[arg-type]
+        usual, own = RopeConfig.of(self.beads), self.rope or {}
+        shape = [name for name, *_ in Mark.fields(RopeConfig, own, "shape") if name in own]
+        return replace(usual, **{name: own[name] for name in shape})  # type: ignore[arg-type]

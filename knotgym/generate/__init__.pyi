@@ -2,6 +2,7 @@ from .collection import collect as collect
 from .collection import require_collectable as require_collectable
 from .comparison import compare as compare
 from .entries import read_entry as read_entry
+from .episode_configs import PROTOCOLS as PROTOCOLS
 from .episode_configs import CollectConfig as CollectConfig
 from .episode_configs import EvaluateConfig as EvaluateConfig
 from .episode_configs import SuiteConfig as SuiteConfig

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, differences
+from knotgym.common import InvalidFile, InvalidInput, Mark, Stream, as_json, differences
 from knotgym.control import PolicyConfig, compile_planning, make_policy, replay
 from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
@@ -25,7 +25,14 @@ from knotgym.generate.old_formats import old_recordings
 from knotgym.generate.results import reached, reference_scores, references_of
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
-from knotgym.states import is_bundled, minari_root, read_states, resolve_states, states_mark
+from knotgym.states import (
+    STATE_SPLITS,
+    is_bundled,
+    minari_root,
+    read_states,
+    resolve_states,
+    states_mark,
+)
 
 _MOST_STEPS = 2**17  # of a block, which bounds its memory
 
@@ -65,9 +72,8 @@ def _distinct_id(config: CollectConfig) -> str:
     'knotgym/tie-nx2/expert-pixels-v0'
     """
     task, policy = config.task, config.policy
-    marked = ("task", "nx", "split", "states", "engine", "observation")
     own = as_json(task)
-    plain = {**as_json(TaskConfig(task="tie")), **{name: own[name] for name in marked}}
+    plain = {**as_json(TaskConfig(task="tie")), **{n: own[n] for n in Mark.values(task, "named")}}
     rules = list(differences(plain, own))
     rules += differences(as_json(PolicyConfig(policy=policy.policy)), as_json(policy))
     digest = hashlib.sha256("; ".join(rules).encode()).hexdigest()[:8]

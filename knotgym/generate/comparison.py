@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from knotgym.common import InvalidFile, InvalidInput, as_json, one_line, require_regular
+from knotgym.common import InvalidFile, InvalidInput, Mark, from_json, one_line, require_regular
 from knotgym.generate.entries import read_entry, states_digests
+from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.generate.results import Result, evaluation_in
 from knotgym.runs import Difference, narrow_table
 
-_VIEWS = {"task", "nx", "split", "states", "action", "observation", "frame"}
 _WIDTH = 15  # characters of a plot
 
 
@@ -28,12 +28,14 @@ class _Score(NamedTuple):
         file: that it is from.
         cell: settings that must be the same in what it is compared with, as text.
         seed: of the evaluation.
+        protocol: of the evaluation.
         result: the result.
     """
 
     file: Path
     cell: str
     seed: int
+    protocol: str
     result: Result
 
 
@@ -49,7 +51,7 @@ def _scores_in(path: Path) -> list[_Score]:
             if faults:
                 raise InvalidFile(f"{path}: {faults[0]}")
             results.append(one)
-        config, digests = as_json(entry.config), states_digests(entry.config)
+        config, digests = entry.config, states_digests(entry.config)
     else:
         require_regular(path, "file")
         with open(path, "rb") as file:
@@ -59,13 +61,14 @@ def _scores_in(path: Path) -> list[_Score]:
                     ", or it is damaged"
                 )
         with evaluation_in(path) as (content, results):
-            config, digests = content["config"], (content["source"] or {}).get("states", {})
-            dict(config["task"], seed=config["seed"]), dict(digests)  # raise if they aren't there
-    rest = {name: value for name, value in config["task"].items() if name not in _VIEWS}
-    rest["states"] = sorted(digests.values())
+            config = from_json(EvaluateConfig, content["config"])
+            digests = dict((content["source"] or {}).get("states", {}))
+    rules = Mark.values(config.task, "rules", "physics") | {"states": sorted(digests.values())}
+    own = ({name: getattr(one, name) for name in ("task", "nx", "split")} for one in results)
+    cells = [json.dumps([*(rules | one).items()]) for one in own]
     return [
-        _Score(path, json.dumps([one.task, one.nx, one.split, rest]), config["seed"], one)
-        for one in results
+        _Score(path, cell, config.seed, config.protocol, one)
+        for cell, one in zip(cells, results, strict=True)
     ]
 
 
@@ -105,7 +108,8 @@ def compare(paths: Sequence[Path], console: Console) -> None:
         reach = max([0.01, *(abs(end) for one, _ in found for end in one[1:3])])
         table = narrow_table(
             ("policy", "success", "difference", "better", "plot"),
-            title=f"{base.result.task} nx {base.result.nx}, {base.result.split}, against"
+            title=f"{base.result.task} nx {base.result.nx}, {base.result.split}, protocol"
+            f" {' or '.join(sorted({one.protocol or 'none' for one in own}))}, against"
             f" {_name(base, own)}",
             left=("policy", "plot"),
         )

@@ -8,9 +8,9 @@ that a policy and not a search chose the pulls, is shown as claimed.
 
     protocol    `config` of the evaluation, with its seed; `states`, digests of the sets that starts
                 and goals are from
-    claims      for each setup its action view, whether its policy plans, and pulls that it
-                simulated for each one made; its training (learner, data with digests, parameters,
-                updates, seconds, seed, command) and files; versions, commit and command
+    claims      for each setup what its policy acted in and observed, whether it plans, and pulls
+                that it simulated for each one made; its training (learner, data with digests,
+                parameters, updates, seconds, seed, command) and files; versions and commit
 """
 
 import json
@@ -61,7 +61,7 @@ class Entry(NamedTuple):
             results.append(result)
             yield from faults
         if not progress.quiet:
-            show(results, progress.console, self.config.task.engine)
+            show(results, progress.console, self.config.task.engine, self.config.protocol)
         for number, claimed in enumerate(self.claimed, 1):
             progress.say(common.one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
 

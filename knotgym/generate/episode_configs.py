@@ -5,16 +5,17 @@ nothing here computes.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from importlib.resources import files
 from itertools import product
+from math import prod
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, NonNegativeInt
 
 from knotgym import control, datasets  # loaded on first use, as the command line reads this
-from knotgym.common import Count, Distinct, InvalidInput, Seed, Stream, choice, configuration
+from knotgym.common import Count, Distinct, InvalidInput, Mark, Seed, Stream, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import ENGINES, MUJOCO
@@ -24,6 +25,8 @@ SUITE: dict[str, Any] = tomllib.loads(
 )
 STATES, SPLITS = tuple(SUITE["states"]), tuple(SUITE["splits"])
 BENCH, SIZES = "bench", SUITE["bench"]["sizes"]
+_PROTOCOL, PROTOCOLS = SUITE["protocol"], SUITE["protocols"]
+_MOST_SETUPS = 4096  # of an evaluation, each of which is made before any is played
 TIERS = tuple(SUITE["bench"]["policies"])  # policies whose episodes on bench states are a tier
 
 Tasks = Annotated[tuple[Annotated[str, choice(*SUITE["tasks"])], ...], Distinct]
@@ -92,6 +95,10 @@ class CollectConfig:
         return control.rollouts(policy, self.policy_task, seeds, keep=kept, **more)
 
 
+def _tow_limit(task: str) -> Any:
+    return SUITE["settings"].get(task, {}).get("tow_limit")
+
+
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     """Return the id of a dataset from its task, its policy and further marks."""
     split = "" if task.split == TaskConfig.split else task.split
@@ -114,6 +121,9 @@ class EvaluateConfig:
         seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
         task: settings shared by all environments; its task, nx and split are not used.
         filmed: episodes per setup in a film.
+        protocol: protocol of the board, which sets what isn't given: code (policies see the goal's
+            code alone), goal-state (vertices that show it) or pixels. A setting that differs from
+            it is refused.
     """
 
     policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
@@ -124,11 +134,52 @@ class EvaluateConfig:
     seed: Seed = 0
     task: TaskConfig = TaskConfig(task="tie", observation="state")
     filmed: Count = 2
+    protocol: Annotated[str, choice("", *PROTOCOLS)] = ""
 
     def __post_init__(self) -> None:
-        if not all((self.policies, self.tasks, self.nx, self.splits)):
+        several = self.policies, self.tasks, self.nx, self.splits
+        if not all(several):
             raise InvalidInput("give at least one policy, task, number of crossings and split")
+        if (count := prod(map(len, several))) > _MOST_SETUPS:
+            raise InvalidInput(f"an evaluation has at most {_MOST_SETUPS} setups, got {count}")
         list(self.setups())  # raises if an environment can't be made
+        for fault in self.differences(self.protocol) if self.protocol else ():
+            raise InvalidInput(f"protocol {self.protocol} has {fault}")
+
+    @staticmethod
+    def of_protocol(name: str, tasks: Sequence[str]) -> dict[str, Any]:
+        """Return what a protocol sets for tasks, by the path of the field."""
+        return {
+            "splits": tuple(_PROTOCOL["splits"]),
+            "task.states": _PROTOCOL["states"],
+            "task.engine": SUITE[_PROTOCOL["states"]]["engine"],
+            "task.observation": PROTOCOLS[name],
+            "task.tow_limit": _tow_limit(tasks[0]),
+        }
+
+    @staticmethod
+    def shows(protocol: str, observation: str) -> bool:
+        """Whether a protocol lets policies observe this of the goal."""
+        kinds = OBSERVATIONS
+        allowed = {*kinds[PROTOCOLS[protocol]].goal, "code"}
+        return observation in kinds and allowed >= {*kinds[observation].goal}
+
+    def differences(self, protocol: str) -> Iterator[str]:
+        """Yield the settings that aren't a protocol's; what policies observe is their own."""
+        limits = [*map(_tow_limit, self.tasks)]
+        wanted = TaskConfig(task="tie", states=_PROTOCOL["states"], engine=self.task.engine)
+        wanted = replace(wanted, tow_limit=limits[0])
+        plain = (replace(one, task="tie", nx=2, split="test") for one in (wanted, self.task))
+        rules = [Mark.values(one, "rules", "physics", "look") for one in plain]
+        pairs = [
+            *((f"task.{name}", one, rules[1][name]) for name, one in rules[0].items()),
+            ("split", (*_PROTOCOL["splits"],), self.splits),
+            ("seed", _PROTOCOL["seed"], self.seed),
+            ("one task.tow_limit for each of its tasks", limits, limits[:1] * len(limits)),
+        ]
+        yield from (f"{name} {one}, got {own}" for name, one, own in pairs if own != one)
+        if self.episodes < _PROTOCOL["episodes"]:
+            yield f"at least {_PROTOCOL['episodes']} episodes, got {self.episodes}"
 
     def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
         """Yield every combination of policy and environment."""
@@ -145,7 +196,8 @@ class SuiteConfig:
         nx: numbers of crossings, from 2 to 4, and for tie on bench states 5: 3 or 2,3; all by
             default.
         policies: policies, comma-separated: random, noisy, expert, play; on bench states also
-            explore (random passes towards no goal) and mixed. All by default.
+            wander (random macro-actions, from the task's starts and goals) and mixed. All by
+            default.
         splits: splits, comma-separated: train, whose states are held out from test, and train-code,
             which shares no code with test-code and which bench hasn't. All by default.
         states: sets of states, comma-separated: readable, random-walk; or bench, whose datasets
@@ -230,6 +282,8 @@ class SuiteConfig:
         marks = [setup.states or "", tier if tiered else ""]
         marks += [] if self.seed == SUITE["seed"] else [f"seed{self.seed}"]
         dataset_id = plain_id(setup, PolicyConfig(policy=name), *marks)
+        if beside := own.get("beside", {}).get(name, {}).get(task):
+            setup = replace(setup, task=(task, beside))
         one = CollectConfig(task=setup, policy=policy, seed=self.seed, dataset_id=dataset_id)
         if not tiered:
             sizes = SUITE["episodes"] | SUITE["episodes"].get(task, {})

@@ -7,9 +7,7 @@ splits, the results are a generalization matrix for policies trained on one of t
 import json
 import os
 import re
-import shlex
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -35,13 +33,13 @@ from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.collection import blocks
 from knotgym.generate.entries import write_entry
-from knotgym.generate.episode_configs import EvaluateConfig
+from knotgym.generate.episode_configs import PROTOCOLS, EvaluateConfig
 from knotgym.generate.results import Result, evaluation_in, reached, show
 
 # fields of a learner's card
 _TRAINING = (
     *("learner", "data", "parameters", "updates", "seconds", "episodes"),
-    *("seed", "command", "weights_sha256"),
+    *("seed", "action", "command", "weights_sha256"),
 )
 
 
@@ -89,7 +87,12 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> runs.Rec
 def _require_playable(config: EvaluateConfig) -> None:
     """Refuse setups whose policies don't fit, before any work is done."""
     for policy, task in config.setups():
-        make_policy(policy).compatible_task(task)
+        seen = make_policy(policy).compatible_task(task).observation
+        if config.protocol and not config.shows(config.protocol, seen):
+            raise InvalidInput(
+                f"protocol {config.protocol} shows policies no more of the goal than observation"
+                f" {PROTOCOLS[config.protocol]}; {policy.policy} observes {seen}"
+            )
         task_sides(task)
 
 
@@ -170,7 +173,7 @@ def evaluate(
             return []
         results = results or _finished(out, beside)
     if is_shown:
-        show(results, progress.console, config.task.engine)
+        show(results, progress.console, config.task.engine, config.protocol)
     if films:
         count = sum(one.episodes.rows for one in films)
         progress.say(f"{video}: {count} episodes")
@@ -195,20 +198,19 @@ def _claims(
     config: EvaluateConfig, results: Sequence[Result], made_by: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """Return what an entry claims of each setup, and no replay proves."""
-    files = (made_by.get("source") or {}).get("policies", {})
-    command, commit = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]), _commit()
+    files, commit = (made_by.get("source") or {}).get("policies", {}), _commit()
     return [
         {
             "action": result.action,
+            "observation": make_policy(policy).compatible_task(task).observation,
             "plans": policy.plans,
             "simulated_per_pull": result.planned_actions / np.mean(result.outcomes["steps"]),
             "training": _training(policy),
             "files": files.get(policy.policy, {}),
             "versions": made_by["versions"],
             "commit": commit,
-            "command": command,
         }
-        for (policy, _), result in zip(config.setups(), results, strict=True)
+        for (policy, task), result in zip(config.setups(), results, strict=True)
     ]
 
 

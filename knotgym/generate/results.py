@@ -1,6 +1,7 @@
 """Results of an evaluation: one per policy and setup, printed beside reference scores."""
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -128,19 +129,23 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
         content = read_json(path)
         results, config = [from_json(Result, one) for one in content["results"]], content["config"]
         policies = [policy["policy"] for policy in config["policies"]]
-        setups = [*product(policies, *(config[name] for name in ("tasks", "splits", "nx")))]
-        if setups != [(one.policy, one.task, one.split, one.nx) for one in results]:
+        several = policies, *(config[name] for name in ("tasks", "splits", "nx"))
+        setups = [(one.policy, one.task, one.split, one.nx) for one in results]
+        if math.prod(map(len, several)) != len(setups) or [*product(*several)] != setups:
             raise InvalidInput("its results aren't those of its configuration's setups")
         yield content, results
 
 
-def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
+def show(
+    results: Sequence[Result], console: Console, engine: str = MUJOCO, protocol: str = ""
+) -> None:
     """Print a row per setup, and a matrix if there are several nx, in at most 80 columns.
 
     Args:
         results: one for each setup.
         console: where to print.
         engine: that the episodes were played with; named if it isn't the reference.
+        protocol: of the evaluation.
     """
     say = partial(console.print, highlight=False)
     steps = ["steps"] * any(one.steps is not None for one in results)
@@ -167,6 +172,8 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
     mixed = [one for one in results if one.start_states != one.goal_states]
     for task, nx in dict.fromkeys((one.task, one.nx) for one in mixed):
         say(f"{task} nx {nx}: the state file has no plain loops; the included ones are used.")
+    if protocol:
+        say(f"protocol {protocol}")
     if not ENGINES[engine].is_reference:
         say(f"engine {engine}, not the reference engine {MUJOCO}")
     numbers = list(dict.fromkeys(one.nx for one in results))

@@ -20,14 +20,14 @@ import json
 from dataclasses import asdict, fields, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
-from knotgym.common import Array, InvalidInput, configuration, inner, kernel
+from knotgym.common import Array, InvalidInput, Mark, configuration, inner, kernel
 from knotgym.rope import closed_curves
 from knotgym.rope.closed_curves import clearance, directions, equal_chords, require_embedded
 from knotgym.topology import same_spot
@@ -60,6 +60,10 @@ _PUBLISHED: dict[str, Any] = {
 }
 
 
+_DERIVED = Mark("derived")  # follows from a task's own settings: its keyword `rope` can't set it
+_SHAPE = Mark("shape")  # states at rest depend on it
+
+
 @configuration
 class RopeConfig:
     """Geometry and physics of the rope.
@@ -78,15 +82,15 @@ class RopeConfig:
         reach: position that an action's coordinate of 1 stands for, metres.
     """
 
-    beads: PositiveInt = 100
-    length: PositiveFloat = 1.33
-    radius: PositiveFloat = 0.005
+    beads: Annotated[PositiveInt, _DERIVED] = 100
+    length: Annotated[PositiveFloat, _SHAPE] = 1.33
+    radius: Annotated[PositiveFloat, _SHAPE] = 0.005
     density: PositiveFloat = 1000.0
     medium_density: PositiveFloat = 10000.0
     joint_damping: NonNegativeFloat = 0.01
-    sub_chains: PositiveInt = 7
-    timestep: PositiveFloat = 0.008
-    frame_skip: PositiveInt = 24
+    sub_chains: Annotated[PositiveInt, _DERIVED] = 7
+    timestep: Annotated[PositiveFloat, _DERIVED] = 0.008
+    frame_skip: Annotated[PositiveInt, _DERIVED] = 24
     max_force: PositiveFloat = 0.2
     reach: PositiveFloat = 2.0
 

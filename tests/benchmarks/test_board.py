@@ -1,12 +1,22 @@
-"""A stranger's policy is entered by the lines of docs/board.md alone."""
+"""A stranger's policy is entered by the lines of docs/board.md alone; forgeries change nothing."""
 
+import json
 import re
 import shlex
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from pytest_types import Capture, Patch
+
+from knotgym.common import Table, as_json, sha256, write_tables
+from knotgym.control import PolicyConfig
+from knotgym.envs import TaskConfig
+from knotgym.generate import EvaluateConfig, entries
+from knotgym.rope import RopeConfig
 
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym
@@ -26,7 +36,7 @@ def test_a_stranger_enters_by_the_page(tmp_path: Path, monkeypatch: Patch, capsy
     for line in (evaluate, verify):
         assert knotgym(*shlex.split(line)[1:]) == 0
     said = "".join(capsys.readouterr())
-    assert "farthest bead" in said and "512 episodes" in said and "no faults" in said
+    assert "farthest bead" in said and "256 episodes" in said and "no faults" in said
     assert results == "python benchmarks/results.py"
     pytest.importorskip("scipy")
     (tmp_path / "docs").mkdir()
@@ -39,3 +49,143 @@ def test_a_stranger_enters_by_the_page(tmp_path: Path, monkeypatch: Patch, capsy
     shutil.copy(entries / "mine.h5", entries / "again.h5")  # no second seed
     with pytest.raises(SystemExit, match="two entries of farthest bead, tie nx 2, hold the same"):
         run_script(ROOT / "benchmarks" / "results.py", *folders)
+
+
+COUNT = 256
+Said = dict[str, Any]
+
+
+def synthetic(folder: Path, name: str, change: Callable[[Said], object], first: int = 0) -> None:
+    """Write an entry of one pull an episode, changed, and what the ledger says that it scored."""
+    task = TaskConfig(task="tie", states="bench", engine="chain", observation="marked")
+    own = PolicyConfig(policy="mine:act")
+    config = EvaluateConfig(policies=(own,), task=task, episodes=COUNT, protocol="code")
+    training = {"learner": name, "data": {"a/tie-nx2/noisy-chain-bench-100k-v0": "0"}, "seed": 0}
+    said: Said = {
+        "config": as_json(config),
+        "states": entries.states_digests(config),
+        "rope": RopeConfig().fingerprint,
+        "claimed": [{"action": "pull", "observation": "marked", "training": training}],
+    }
+    change(said)
+    rows = said.pop("rows", COUNT)
+    numbers = np.arange(first, first + rows, dtype=np.uint64).astype(">u8").view(np.uint8)
+    table = Table(
+        entries.ROWS, {"length": np.ones(rows, np.uint32), "digest": numbers.reshape(-1, 8)}
+    )
+    forces = np.zeros((rows, 3), np.int8)
+    pulls = Table(entries.PULLED, {"bead": np.zeros(rows, np.uint16), "bins": forces})
+    said["digest"] = entries._digest(said, [table], [pulls])
+    path = folder / "benchmarks" / "entries" / f"{name}.h5"
+    write_tables(path, [table, pulls], said, format=entries.FORMAT, version=1, pack=True)
+    place = folder / "benchmarks" / "ledger.json"
+    ledger = json.loads(place.read_text())
+    ledger["entries"][path.name] = {"sha256": sha256(path), "success": ["10" * (COUNT // 2)]}
+    place.write_text(json.dumps(ledger))
+
+
+def _config(**values: Any) -> Callable[[Said], object]:
+    return lambda said: said["config"].update(values)
+
+
+def _task(**values: Any) -> Callable[[Said], object]:
+    return lambda said: said["config"]["task"].update(values)
+
+
+def _claim(**values: Any) -> Callable[[Said], object]:
+    return lambda said: said["claimed"][0].update(values)
+
+
+def _learner(name: Any) -> Callable[[Said], object]:
+    return lambda said: said["claimed"][0]["training"].update(learner=name)
+
+
+def _named(name: str) -> Callable[[Said], object]:
+    return lambda said: said["config"]["policies"][0].update(policy=name)
+
+
+BOMB = [as_json(PolicyConfig(policy=f"a{k}:b")) for k in range(3000)]
+MARKUP = ("a | **100** |", "a\n| b | 1 |", "<script>x</script>", "**DiscreteBC**", "[x](y)", "`a`")
+# what a forgery is, how it is made, and what refuses it; None: it stands as text, in its own row
+FORGERIES: dict[str, tuple[Callable[[Said], object], str | None]] = {
+    **{
+        f"task.{name}": (_task(**{name: value}), rf"protocol code has task.{name} ")
+        for name, value in {
+            **{"horizon": 2000, "hold": 2, "endless": True, "tow_limit": 1.0, "max_goals": 1},
+            **{"reset_noise": 0.9, "success_reward": 9.0, "failure_reward": 0.0},
+            **{"rope": {"max_force": 0.4}, "states": "readable", "image_size": 64},
+        }.items()
+    },
+    "split": (_config(splits=["train"]), "protocol code has split "),
+    "seed": (_config(seed=4), "protocol code has seed 0, got 4"),
+    "subset": (
+        lambda said: (_config(episodes=240)(said), said.update({"rows": 240})),
+        "at least 256 episodes, got 240",
+    ),
+    "no protocol": (_config(protocol="", seed=9), "names no protocol; .*seed 0, got 9"),
+    "own protocol": (_config(protocol="mine"), "protocol"),
+    "sees the goal": (_claim(observation="state"), "observes state"),
+    "sees a list": (_claim(observation=["marked"]), "observes"),
+    "no training": (_claim(training=None), "isn't an object"),
+    "list of trainings": (_claim(training=[1]), "isn't an object"),
+    "random's name": (_named("random"), "other pulls than the policy random|ends otherwise"),
+    "expert's name": (_named("expert"), "isn't a known run|ends otherwise"),
+    "bomb of setups": (_config(policies=BOMB, tasks=["tie"] * 3000), "at most 4096 setups"),
+    "bomb of episodes": (_config(episodes=10**15), "its configuration asks for"),
+    "same episodes": (lambda said: None, "hold the same episodes"),
+    "15 of 16 episodes": (lambda said: None, "hold the same episodes"),
+    **{
+        f"learner {name!r}": (_learner(name), None) for name in (*MARKUP, "random", ["a"], {"b": 1})
+    },
+    "two tiers": (
+        lambda said: said["claimed"][0]["training"]["data"].update({"b/x/wander-chain-1M-v0": "1"}),
+        None,
+    ),
+    "list of data": (lambda said: said["claimed"][0]["training"].update(data=["a"]), None),
+}
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    """A folder with one honest entry, its ledger and the pages."""
+    (tmp_path / "benchmarks" / "entries").mkdir(parents=True)
+    (tmp_path / "docs").mkdir()
+    shutil.copy(ROOT / "README.md", tmp_path)
+    rows = {"tie 2": [[0] * COUNT, [*range(COUNT)]]}
+    (tmp_path / "benchmarks" / "ledger.json").write_text(
+        json.dumps({"episodes": rows, "entries": {}})
+    )
+    synthetic(tmp_path, "DiscreteBC", lambda said: None)
+    return tmp_path
+
+
+def made(board: Path) -> list[str]:
+    """The tables of the board and README, made again."""
+    run_script(
+        ROOT / "benchmarks/results.py", "--root", board, "--entries", board / "benchmarks/entries"
+    )
+    pages = (board / "docs/benchmark.md").read_text() + (board / "README.md").read_text()
+    return [line for line in pages.splitlines() if line.startswith("|")]
+
+
+@pytest.mark.parametrize("kind", FORGERIES)
+def test_a_forgery_is_refused_by_name_or_changes_no_other_row(kind: str, board: Path) -> None:
+    pytest.importorskip("scipy")
+    before, (change, said) = made(board), FORGERIES[kind]
+    first = {"same episodes": 0, "15 of 16 episodes": COUNT // 16}.get(kind, COUNT)
+    synthetic(board, "forged", change, first)
+    if "name" in kind:  # such a policy is played again, whatever the ledger says
+        place = board / "benchmarks" / "ledger.json"
+        ledger = json.loads(place.read_text())
+        del ledger["entries"]["forged.h5"]
+        place.write_text(json.dumps(ledger))
+    if said is not None:
+        with pytest.raises(SystemExit, match=f"^forged.h5 .*(?:{said})"):
+            made(board)
+        return
+    after = made(board)
+    assert [line for line in after if line not in before] != []
+    assert [line for line in before if line not in after and "**50.0**" in line] == []
+    new = "\n".join(line for line in after if line not in before)
+    assert len([line for line in after if "**50.0**" in line]) == 2
+    assert not re.search(r"<script|\*\*DiscreteBC|(?<!\\)\[x|(?<!\\)`a", new)

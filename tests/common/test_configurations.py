@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import NonNegativeInt, PositiveInt
 
-from knotgym.common import Distinct
+from knotgym.common import Distinct, Mark
 from knotgym.common.configurations import Seed, as_json, configuration, from_json
 from knotgym.common.errors import InvalidInput, KnotgymError
 from knotgym.drawing import DrawingConfig
@@ -108,3 +108,9 @@ def test_a_name_stands_for_a_configuration_that_is_named_by_a_field() -> None:
     assert Holder(**held) == Holder(one=Named(name="b"), many=(Named(name="c"), Named(name="d")))
     with pytest.raises(InvalidInput, match="one must be an instance of Named, got 3"):
         Holder(**dict[str, Any](one=3))
+
+
+def test_every_field_of_a_task_has_one_role() -> None:
+    task = TaskConfig(task="tie")
+    roles = [n for role in ("rules", "physics", "view", "look") for n in Mark.values(task, role)]
+    assert sorted(roles) == sorted(one.name for one in fields(TaskConfig))

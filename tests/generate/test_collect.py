@@ -215,7 +215,12 @@ def test_sets_of_several_tasks_are_collected_and_merged(tmp_path: Path, monkeypa
         ({"states": "bench", "engine": "chain"}, (-4.4141, 5.0, 512)),
         ({"nx": 3}, (-5.0, 5.0, 64)),
         ({"states": "bench"}, (None, None, None)),
-        ({"horizon": 10}, (None, None, None)),
+        *(
+            ({name: value}, (None, None, None))  # other rules than the scores were measured with
+            for name, value in {"horizon": 10, "failure_reward": 0.0, "max_goals": 3}.items()
+        ),
+        ({"integrator_steps": 30}, (None, None, None)),
+        ({"split": "train-code"}, (None, None, None)),
     ],
 )
 def test_reference_scores_are_those_of_the_states_engine_and_rules(

@@ -47,6 +47,13 @@ def card(out: Path) -> dict[str, Any]:
     return found
 
 
+def test_ropes_of_wander_begin_at_starts_and_at_goals() -> None:
+    sets = [*SuiteConfig(states=("bench",), size="100k", policies=("wander",)).sets()]
+    assert sets[0].dataset_id == "knotgym/unknot-nx2/wander-chain-bench-100k-v0"
+    sides = {one.task.tasks for one in sets}
+    assert sides == {("unknot", "tie"), ("tie", "unknot"), ("convert", "unknot")}
+
+
 def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path) -> None:
     sets = card(made)["sets"]
     assert sets.keys() == {ID.format(policy) for policy in ("random", "expert")}
