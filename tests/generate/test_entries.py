@@ -79,7 +79,7 @@ def test_an_entry_claims_what_its_policy_s_module_says(tmp_path: Path, monkeypat
     words = ("--policy", "claiming:act", *task, "--episodes", 1, "--workers", 1, "--quiet")
     assert knotgym("evaluate", *words, "--record", "entry.h5") == 0
     (claimed,) = entry_at(Path("entry.h5")).claimed
-    assert claimed["training"] == card and claimed["command"] and "commit" in claimed
+    assert claimed["training"] == card and "commit" in claimed and "command" not in claimed
     (tmp_path / "wrong.py").write_text(text.replace("'none'", "{1, 2}"))
     assert knotgym("evaluate", "--policy", "wrong:act", *words[2:], "--record", "w.h5") == 2
 
