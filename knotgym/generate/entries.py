@@ -129,8 +129,10 @@ def read_entry(path: Path) -> Entry | None:
         raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
     if unlike := config.task.rope_config.unlike(said.get("rope")):
         raise InvalidFile(f"{path} was played with {unlike}")
-    of_setup = np.repeat(np.arange(len(tasks)), config.episodes)
     own, steps = episodes
+    if own.rows != len(tasks) * config.episodes:  # before there is an array of so many
+        raise InvalidFile(f"{path} has {own.rows} episodes, other than its configuration asks for")
+    of_setup = np.repeat(np.arange(len(tasks)), config.episodes)
     if not np.array_equal(own["setup"], of_setup) or (said["tasks"], len(claimed)) != (
         tasks,
         len(tasks),
