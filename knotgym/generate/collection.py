@@ -25,14 +25,7 @@ from knotgym.generate.old_formats import old_recordings
 from knotgym.generate.results import reached, reference_scores, references_of
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
-from knotgym.states import (
-    STATE_SPLITS,
-    is_bundled,
-    minari_root,
-    read_states,
-    resolve_states,
-    states_mark,
-)
+from knotgym.states import is_bundled, minari_root, read_states, resolve_states, states_mark
 
 _MOST_STEPS = 2**17  # of a block, which bounds its memory
 

@@ -14,10 +14,19 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt
 from rich.console import Console
 
-from knotgym.common import InvalidFile, InvalidInput, Share, configuration, from_json, read_json
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    Mark,
+    Share,
+    configuration,
+    from_json,
+    read_json,
+)
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.rope import ENGINES, MUJOCO
 from knotgym.runs import cluster_interval, narrow_table
+from knotgym.states import SPLITS
 
 Columns = Mapping[str, NDArray[Any]]
 _SETUP = ("policy", "task", "split", "nx")  # columns
@@ -197,9 +206,10 @@ def _acting(result: Result) -> str:
 
 def references_of(task: TaskConfig) -> dict[str, Any]:
     """Return the reference scores of a task as Minari names them, each None if there are none."""
-    usual = TaskConfig(task=task.task)  # the scores are of its rules
-    rules = ("horizon", "hold", "endless", "tow_limit", "reset_noise", "success_reward", "rope")
-    own = all(getattr(task, name) == getattr(usual, name) for name in (*rules, "beads"))
+    # the scores are of the usual rules and rope, on states that were split by state
+    plain = TaskConfig(**Mark.values(task, "named"))
+    rules = [Mark.values(one, "rules", "physics") for one in (task, plain)]
+    own = rules[0] == rules[1] and not SPLITS[task.split].by_code
     protocol = reference_scores().get(f"{task.states or 'readable'}-{task.engine}", {})
     scores = protocol.get("cells", {}).get(task.name, {}) if own else {}
     return {
