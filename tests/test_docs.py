@@ -122,7 +122,7 @@ ELSEWHERE = {
 
 def with_blocks(page: Path) -> Any:
     """Mark the pages whose blocks need the extra learn."""
-    marks = [pytest.mark.clients] if page.name == "perception.md" else []
+    marks = [pytest.mark.clients] if page.name in ("perception.md", "photos.md") else []
     return pytest.param(page, marks=marks, id=page_name(page))
 
 

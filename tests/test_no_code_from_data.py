@@ -12,6 +12,7 @@ UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "
 # file -> why a module that it imports by a computed name isn't named by data
 IMPORTS = {
     "cli/program.py": "packages that installed entry points name",
+    "common/configurations.py": "plugins, which the user types or installed entry points name",
     "common/errors.py": "optional libraries, names in the code",
     "control/own_policies.py": "module:name, which the user types; never from a file",
     "control/policies.py": "modules of its room, names in the code",

@@ -337,7 +337,7 @@ def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
         text = file.read(most + 1)
     if len(text) > most:
         raise InvalidFile(f"{given} has more than {most} bytes, too many for a JSON file")
-    with InvalidFile.instead(f"{given} isn't valid JSON", ValueError, RecursionError):
+    with InvalidFile.instead(f"{given} isn't valid JSON", ValueError, LookupError, RecursionError):
         return json.loads(text.decode("utf-8"), object_pairs_hook=_object)
 
 
@@ -346,7 +346,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"key {twice!r} is there twice")
+        raise LookupError(f"key {twice!r} is there twice")
     return found
 
 

@@ -173,6 +173,7 @@ def made(board: Path) -> list[str]:
     return [line for line in pages.splitlines() if line.startswith("|")]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", FORGERIES)
 def test_a_forgery_is_refused_by_name_or_changes_no_other_row(kind: str, board: Path) -> None:
     pytest.importorskip("scipy")
