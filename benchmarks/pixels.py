@@ -3,10 +3,10 @@
     python benchmarks/pixels.py DATASET ROOM
 
 A sample is a window of 4 consecutive pictures of the rope, 128 pixels large; batches of 64 come in
-random order, as in stable-worldmodel's own benchmark of its formats. Of DATASET, episodes of any
-kind, the same windows are read in one run: drawn from the columns; from a mapped file of the
-pictures, as a loader's cache is; and from HDF5 and, where `lance` is installed, Lance tables of the
-same pictures, with the settings that those libraries have by default. Files are written to ROOM.
+random order. Of DATASET, episodes of any kind, the same windows are read in one run: drawn from the
+columns; from a mapped file of the pictures, as a loader's cache is; and from HDF5 and, where lance
+is installed, Lance tables of the same pictures, with the settings that those libraries have by
+default. Files are written to ROOM.
 Prints windows a CPU second and a second, and both relative to HDF5.
 """
 

