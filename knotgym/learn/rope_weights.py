@@ -54,7 +54,7 @@ def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
 
 def save_rope_reader(network: StrandNetwork, folder: Path, card: dict[str, Any]) -> None:
     """Write a folder that `load_rope_reader` reads; `card` adds how it was trained."""
-    save_network(folder, network, ROPE_READER, card)
+    save_network(folder, network.eval(), ROPE_READER, card)
 
 
 def read_photo(photo: str | Path | NDArray[np.uint8], weights: str = ROPE_READER) -> PhotoReading:
