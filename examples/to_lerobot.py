@@ -14,7 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+try:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+except ModuleNotFoundError as error:
+    raise SystemExit("to_lerobot.py needs LeRobot: pip install 'lerobot>=0.4'") from error
 
 from knotgym.datasets import gauss_codes
 from knotgym.loaders import Transitions

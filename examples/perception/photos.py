@@ -18,7 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
+
+try:
+    import torch
+except ModuleNotFoundError as error:
+    raise SystemExit("photos.py needs torch: pip install '.[torch,huggingface]'") from error
 from numpy.typing import NDArray
 from pictures import Misread, page, shown_rows
 from strand_loss import strand_loss

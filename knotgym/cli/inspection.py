@@ -13,7 +13,7 @@ from knotgym.cli.program import shown
 from knotgym.common import Failed, InvalidFile, InvalidInput, atomic_write, require_output
 from knotgym.control import replay
 from knotgym.datasets import in_words, locate, open_episodes, show_episodes, summary, try_files
-from knotgym.generate import CLAIMED, read_entry
+from knotgym.generate import claims, read_entry
 from knotgym.generate import faults as dataset_faults
 from knotgym.generate import film as film_of
 from knotgym.rendering import Film
@@ -79,10 +79,8 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
         said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         progress.say(f"{named}: {entry or said}: no faults")
         opened = [] if entry else [*map(open_episodes, locate(named).episodes)]
-        claims = {name for one in opened for name in one.episodes.claims()}
-        claims |= {name for one in opened for name in CLAIMED if (one.metadata or {}).get(name)}
-        if claims:
-            said = ", ".join(sorted(claims))
+        if claimed := {name for one in opened for name in claims(one)}:
+            said = ", ".join(sorted(claimed))
             progress.say(f"claimed, as nothing can make them again: {said}")
 
 

@@ -89,6 +89,15 @@ class PolicyConfig:
             return False
 
     @property
+    def is_own(self) -> bool:
+        """Whether it is one of the package's own names, so that the seed decides what it does."""
+        try:
+            family = self._family()
+        except InvalidPolicy:
+            return False
+        return family.matches is None and family.make.__module__.startswith("knotgym.")
+
+    @property
     def short(self) -> str:
         """A name for dataset ids: letters, digits and dashes."""
         kind, _, name = self.policy.partition(":")

@@ -146,6 +146,17 @@ class Marked(NamedTuple):
         return 5 * beads + 4 * TOKENS + _FRAME
 
     @classmethod
+    def fits(cls, rows: NDArray[Any]) -> bool:
+        """Whether rows (n, k) may be observations: their tokens are whole numbers, coordinates of a
+        rope aren't.
+        """
+        beads, rest = divmod(rows.shape[1] - cls.size(0), 5)
+        if rest or beads < 1 or not len(rows):
+            return False
+        one = cls.split(rows)
+        return all(bool((part == np.rint(part)).all()) for part in (one.marks, one.code, one.goal))
+
+    @classmethod
     def of(cls, points: ArrayLike, goals: Sequence[GaussCode], *, canonical: bool = True) -> Marked:
         """Observe ropes.
 

@@ -17,6 +17,6 @@ from .results import Result as Result
 from .state_recipe import make_states as make_states
 from .state_rows import judge as judge
 from .suite import make_suite as make_suite
-from .verification import CLAIMED as CLAIMED
+from .verification import claims as claims
 from .verification import faults as faults
 from .verification import verify as verify

@@ -1,6 +1,7 @@
 """Files of closed curves, read in the forms in which others publish them.
 
-    .csv .tsv .txt .dat .xyz   rows x y z or name x y z; the first may name the columns
+    .csv .tsv .txt .dat .xyz   rows x y z or name x y z; the first may name the columns, then among
+                               others; a line such as `t 0` before the rows is passed over
     .vect                      polylines of Geomview
     .json                      [[x, y, z], ...], also by name
     .npy .npz                  arrays (n, 3)
@@ -29,6 +30,7 @@ from knotgym.common import Array, InvalidInput, one_line, require_regular
 _MOST = 1_000_000  # lines or points of a file, characters of a line
 _MOST_CURVES = 20_000  # of a file
 _EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]?\d)")  # Fortran's, as in 1.5D+00
+_TIME = re.compile(r"\s*(?:t|time|timestep|step|frame)\s*[=:]?\s*[-+.\deE]+\s*", re.IGNORECASE)
 _COMMENT = re.compile(r"(?:^|\s)#.*")  # 3_1#4_1 is a name
 Components = Iterator[tuple[str, ArrayLike]]  # a name, "" without, and points (n, 3)
 
@@ -119,8 +121,12 @@ def _lines(path: Path) -> Iterator[str]:
 
 
 def _from_table(path: Path) -> Components:
-    """Read rows x y z or name x y z, parted by commas, semicolons, tabs or spaces."""
+    """Read rows x y z or name x y z, parted by commas, semicolons, tabs or spaces.
+
+    A first row that names the columns may name others, too, which aren't read.
+    """
     component: list[tuple[str, list[float]]] = []
+    head, columns = list[str](), list[int]()
     announced, begun, counted = "", False, False  # counted: the last line told how many rows follow
     for number, line in enumerate(chain(_lines(path), [""]), 1):
         words = _words(line)
@@ -130,9 +136,15 @@ def _from_table(path: Path) -> Components:
         elif words[0].isdecimal() and len(words) == 1:
             yield from _by_name(component, announced, path)
             component, announced, counted = [], words[0], True
-        elif any(words):
-            if begun or [word.lower() for word in words[-3:]] != ["x", "y", "z"]:
-                component.append(_row(words, number))
+        elif any(words) and not _TIME.fullmatch(line):
+            if begun or not {"x", "y", "z"} <= {*map(str.lower, words)}:
+                is_whole = len(words) == len(head)
+                if len(words) < len(head):
+                    raise InvalidInput(f"line {number} has {len(words)} of {len(head)} columns")
+                component.append(_row([words[k] for k in columns] if is_whole else words, number))
+            else:
+                head = [*map(str.lower, words)]
+                columns = [0] * (head[0] not in (*"xyzt", "time")) + [*map(head.index, "xyz")]
             begun, counted = True, False
         elif not line.lstrip().startswith("#"):
             yield from _by_name(component, announced, path)

@@ -15,6 +15,7 @@ that a policy and not a search chose the pulls, is shown as claimed.
 
 import json
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from knotgym import common
 from knotgym.common import Counts, InvalidFile, KnotgymError, Stream
-from knotgym.control import replay
+from knotgym.control import PolicyConfig, make_policy, replay, rollouts
 from knotgym.datasets import EpisodeDataset, Episodes, joined_task, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.collection import blocks
@@ -30,10 +31,11 @@ from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.generate.old_formats import OLD_ENTRY, old_entry
 from knotgym.generate.results import Result, show
 from knotgym.rope import ENGINES
-from knotgym.runs import Progress, executor
+from knotgym.runs import Progress, executor, identity
 from knotgym.runs import Result as Kept
 from knotgym.states import is_bundled, resolve_states
 
+_DRAWN = 4  # episodes of a setup that a policy of the package plays again
 _RAISED = KnotgymError, LookupError, TypeError, ValueError  # by attributes of a stranger's
 
 
@@ -83,7 +85,14 @@ class Entry(NamedTuple):
                     " through other states"
                     for k in np.flatnonzero(wrong).tolist()
                 ]
-                action = str(self.claimed[number].get("action", ""))
+                claimed = self.claimed[number]
+                if not faults and repeats(policy, claimed.get("versions")):
+                    some = [*chain(*seeds)][:_DRAWN]
+                    drawn = stored.select(np.arange(len(some)))
+                    if (row := acted_otherwise(policy, task, drawn, some)) is not None:
+                        what = f"{policy.policy}, played again, pulls otherwise"
+                        faults.append(f"setup {number + 1}, episode {first + row}: {what}")
+                action = str(claimed.get("action", ""))
                 played = Episodes.merged([Episodes.of(one) for one in made]).episodes
                 yield Result.of(policy.policy, action, task, played), faults
 
@@ -155,6 +164,28 @@ def _replayed(task: TaskConfig, seeds: list[int], part: Episodes) -> Kept:
     wrong = np.zeros(part.episodes.rows, dtype=bool)
     wrong[[row for row, *_ in made.recording().differing(part)]] = True
     return {**made._replace(steps=made.steps.only("bead")).columns(), "wrong": wrong}
+
+
+def repeats(policy: PolicyConfig, versions: Any) -> bool:
+    """Whether a policy of the package, with the seed, decides all pulls of a run, here as there."""
+    plain = PolicyConfig()  # searches that a stranger made longer could take hours
+    if not policy.is_own or (policy.expert, policy.planner) != (plain.expert, plain.planner):
+        return False
+    code = versions.get("code") if isinstance(versions, dict) else None
+    # other code may plan otherwise
+    return not policy.plans or code == identity(policy)["versions"]["code"]
+
+
+def acted_otherwise(
+    policy: PolicyConfig, task: TaskConfig, episodes: Episodes, seeds: list[int]
+) -> int | None:
+    """Play a policy again; return the first episode that isn't its own, None if all are."""
+    made = rollouts(make_policy(policy), task, seeds)
+    found = made.recording().differing(episodes.recording())
+    # rows of earlier entries name nobody
+    nobody = [(row, "policy") for row in np.flatnonzero(episodes.episodes["policy"] == "recorded")]
+    passed = {"planner_steps", *nobody}
+    return next((row for row, _, name in found if not {name, (row, name)} & passed), None)
 
 
 def states_digests(config: EvaluateConfig) -> dict[str, str]:

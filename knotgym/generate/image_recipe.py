@@ -80,6 +80,7 @@ def make_images(
         MissingExtra: pyarrow isn't installed.
     """
     MissingExtra.imported("pyarrow", "huggingface", "Parquet")
+    config.appearance.require_used()
     path = resolve_states(None if states is None else str(states))
     plan = _plan_of(config, read_states(path, images=False))
     made = identity(config, {"name": path.name, "sha256": path})

@@ -1,24 +1,28 @@
 """Verify what knotgym wrote: datasets, entries, and what a dataset says of itself.
 
 A set's metadata are compared with the run that made it and with the reference scores of its task;
-Minari normalizes returns by those. What nothing can compute again, `dataset verify` shows as
-claimed.
+Minari normalizes returns by those. A policy of the package plays some drawn episodes again. What
+nothing can compute again, `dataset verify` shows as claimed.
 """
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import knotgym
-from knotgym.common import InvalidFile
+from knotgym.common import InvalidFile, KnotgymError, from_json
 from knotgym.control import dataset_faults
 from knotgym.datasets import EpisodeDataset, locate, open_episodes
-from knotgym.generate.entries import read_entry
+from knotgym.generate.entries import acted_otherwise, read_entry, repeats
+from knotgym.generate.episode_configs import CollectConfig
 from knotgym.generate.results import references_of
 from knotgym.states import resolve
 
 _AUTHORS = ("author", "author_email")
-CLAIMED = ("algorithm_name", *_AUTHORS, "code_permalink")  # of the metadata
+_CLAIMED = (*_AUTHORS, "code_permalink")  # of the metadata, and nothing can confirm them
+_DRAWN = {False: 16, True: 4}  # episodes played again, of a policy that plans or not
 
 
 def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
@@ -64,9 +68,27 @@ def faults(
         yield from (f"{opened.path}: {fault}" for fault in _metadata_faults(opened))
 
 
+def claims(dataset: EpisodeDataset) -> set[str]:
+    """Return the names of what a set says and nothing here could make again or compare."""
+    about, acting = dataset.metadata or {}, _acting(dataset)
+    said = {name for name in _CLAIMED if about.get(name)}
+    said |= {"policy", *(["algorithm_name"] * ("algorithm_name" in about))} if not acting else set()
+    own = {} if _is_other(dataset) else {k for k, v in references_of(dataset.task).items() if v}
+    said |= {name for name in references_of(dataset.task) if about.get(name)} - {*own}
+    return said | {*dataset.episodes.claims()}
+
+
 def _metadata_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield what a set's metadata say that its run and its task don't."""
     about, run = dataset.metadata, dataset.attributes.get("run")
+    if (acting := _acting(dataset)) is not None:
+        task = replace(dataset.found_task, observation=acting.policy_task.observation)
+        drawn = dataset.drawn(_DRAWN[acting.policy.plans])
+        seeds = drawn.episodes.episodes["seed"].tolist()
+        row = acted_otherwise(acting.policy, task, drawn.episodes, seeds)
+        if row is not None:
+            who = acting.policy.policy
+            yield f"episode {drawn.numbers[row]}: {who}, played again, pulls otherwise"
     if about is None:
         return
     config = run.get("config") if isinstance(run, dict) else None
@@ -79,10 +101,29 @@ def _metadata_faults(dataset: EpisodeDataset) -> Iterator[str]:
             said, right = (sorted(map(str, one.get(name) or ())) for one in (about, config))
             if said != right:
                 yield f"{name} is {said}, that of its run {right}"
-    versions = dataset.attributes.get("versions")
-    if not isinstance(versions, dict) or versions.get("knotgym") != knotgym.__version__:
+    if _is_other(dataset):
         return  # other versions may have had other scores
     for name, right in references_of(dataset.task).items():
         # where none were measured, a user may have
         if about.get(name) not in (right, None) and (right is not None or config is not None):
             yield f"{name} is {about[name]}, that of its task {right}"
+
+
+def _is_other(dataset: EpisodeDataset) -> bool:
+    """Whether another version of the package made a set."""
+    versions = dataset.attributes.get("versions")
+    return not isinstance(versions, dict) or versions.get("knotgym") != knotgym.__version__
+
+
+def _acting(dataset: EpisodeDataset) -> CollectConfig | None:
+    """Return the run of a set if its policy can be played again; None otherwise."""
+    run: Any = dataset.attributes.get("run")
+    with suppress(
+        KnotgymError, LookupError, TypeError, ValueError
+    ):  # by attributes of a stranger's
+        config = from_json(CollectConfig, run["config"])
+        source = run["source"] or {}
+        # pulls of earlier recordings are of the policies of their time
+        if source.keys() <= {"states", "policies"} and repeats(config.policy, run["versions"]):
+            return config
+    return None

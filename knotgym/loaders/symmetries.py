@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import Observer
+from knotgym.envs import Marked, Observer
 from knotgym.rope import ActionView
 from knotgym.topology import CodeArrays, Symmetry
 
@@ -175,7 +175,9 @@ class Symmetries(Symmetry):
             return self._pictures(values, ropes)
         if values.dtype == np.int16:
             return self._visits(values)
-        if values.dtype.kind != "f" or values.shape[-1] != 3 * ropes * beads:
+        is_state = values.dtype.kind == "f" and values.shape[-1] == 3 * ropes * beads
+        # marked rows of 61 beads are as long as vertices of 69
+        if not is_state or Marked.fits(values.reshape(-1, values.shape[-1])):
             raise InvalidInput(
                 "observations to transform are of the kind state, symbolic or pixels; marked ones"
                 " are alike for all images of a state"

@@ -141,6 +141,15 @@ class AppearanceConfig:
             raise InvalidInput(f"appearance {self.name} can't vary {', '.join(fixed)}: {advice}")
         object.__setattr__(self, "vary", tuple(name for name in kind.vary if name in vary))
 
+    def require_used(self) -> None:
+        """Raise InvalidInput if a setting was changed that such pictures don't show."""
+        kind, plain = APPEARANCES[self.name], AppearanceConfig(name=self.name)
+        shown = {*self.vary, *("tilt", "marked") * kind.tilted}
+        for name in ("tilt", "marked", "width", "zoom", "noise", "blur"):
+            if name not in shown and getattr(self, name) != getattr(plain, name):
+                advice = f"vary {name}, too" if name in kind.vary else "leave it out"
+                raise InvalidInput(f"appearance {self.name} doesn't show {name}: {advice}")
+
     @property
     def sides(self) -> tuple[int, ...]:
         """The sizes, or the usual one of the appearance."""

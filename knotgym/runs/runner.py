@@ -197,6 +197,8 @@ def run(
         made, seconds = out if shard.is_whole else journal.path, time.perf_counter() - began
         shown.say(f"{made}{text}; {seconds:.0f} s")
         if shard.is_whole:
+            if merged := _shards(out):
+                shown.say(f"merged, and not needed any more: {', '.join(map(str, merged))}")
             return out
         shown.say("to merge, run the same command without a shard where all shards' journals lie")
         return journal.path
@@ -218,8 +220,7 @@ def staged(
     """
     shard, path = options.shard, options.shard.journal(out)
     folder = _staging_folder(out if shard.is_whole else path)
-    beside = sorted(out.parent.glob(f"{escape(out.name)}-shard-*-of-*.journal"))
-    others = [other for other in beside if other.is_dir() and other != path]
+    others = [other for other in _shards(out) if other != path]
     path = folder / "journal" if shard.is_whole else path
     for one in (folder, path):
         require_own(one)
@@ -240,6 +241,12 @@ def staged(
     finally:
         with suppress(OSError):
             folder.rmdir()  # only if nobody has begun in it
+
+
+def _shards(out: Path) -> list[Path]:
+    """Return the journals of shards that lie beside the output of a whole run."""
+    beside = sorted(out.parent.glob(f"{escape(out.name)}-shard-*-of-*.journal"))
+    return [one for one in beside if one.is_dir()]
 
 
 def _staging_folder(out: Path) -> Path:

@@ -273,6 +273,9 @@ def _parse_code(text: str) -> GaussCode:
     for pattern, read in _READERS if is_whole else ():
         if pattern.fullmatch(tight) and (code := read(tight, text)) is not None:
             return code
+    for pattern, name, expected in _FOREIGN:
+        if pattern.fullmatch(tight):
+            raise invalid_code(f"{name} isn't read", text, expected, "Gauss, PD or DT")
     if tight[:1] in ("[", "(", "P", "D", "X"):
         raise invalid_code(
             "it can't be read", text, "expected [[1,5,2,4],...] or [4,6,2]", "PD or DT"
@@ -356,6 +359,9 @@ def _read_bare(tight: str, _: str) -> GaussCode:
 def _read_numbers(tight: str, text: str) -> GaussCode:
     numbers = _numbers(tight)
     # each label occurs with both signs in a Gauss code, with one in a DT code
+    if len({*numbers}) < len(numbers):
+        expected = "give the Gauss, PD or DT code of its closure"
+        raise invalid_code("numbers repeat, as in a braid's word", text, expected, "Gauss or DT")
     if len(numbers) < 2 or sorted(numbers) != sorted(-number for number in numbers):
         return _from_dt(numbers)
     if "{" in text:
@@ -397,6 +403,20 @@ _READERS: tuple[tuple[re.Pattern[str], Callable[[str, str], GaussCode | None]], 
         # DT codes of KnotInfo, also bare numbers, of KnotTheory and of SnapPy; signed numbers
         (rf"(?:DT(?:Code)?:?)?[\[(]*{_LIST}[\])]*", 0, _read_numbers),
         (r"DT(?:\[[A-Za-z]{4,}(?:\.[01]*)?\]|:[A-Za-z]{4,}(?:\.[01]*)?)", 0, _read_letters)
+    )
+)  # fmt: skip
+
+
+# What others write that isn't read, without spaces: its name, and what to write instead.
+_FOREIGN = tuple(
+    (re.compile(pattern), name, expected)
+    for pattern, name, expected in (
+        (rf"(?:BR(?:aid)?)?[\[(]\d+,[\[(](?:{_LIST})?[\])][\])]|BR(?:aid)?\W.*", "a braid's word",
+         "give the Gauss, PD or DT code of its closure"),
+        (rf"(?:Link|Knot)?[\[(]*{_LIST}\](?:,\[{_LIST}\])*\],\[-?1(?:,-?1)*\][\])]+",
+         "Sage's oriented Gauss code", "give its pd_code()"),
+        (r"(?:Knot|Link|K|L)?[\[(]?\d+[an]?_\d+[\])]?|(?:Knot|Link)\[.*|[KL]\d+[an]\d+",
+         "a knot's name", "give a Gauss, PD or DT code, such as KnotInfo's"),
     )
 )  # fmt: skip
 

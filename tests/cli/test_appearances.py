@@ -70,3 +70,12 @@ def test_a_camera_is_added_by_one_record(monkeypatch: Patch) -> None:
     )
     shown = [(env.reset(seed=0)[0][:, :64] > 0).any(axis=2).mean() for env in (near, far)]
     assert shown[1] > 2 * shown[0] > 0, "the rope fills more of a narrower view"
+
+
+@pytest.mark.parametrize(
+    "changed", [{"tilt": 3.0}, {"marked": 0.5}, {"noise": 1.0}, {"name": "photo", "width": (1, 2)}]
+)
+def test_a_setting_that_no_picture_shows_is_refused(changed: Any, tmp_path: Path) -> None:
+    config = ImagesConfig(nx=(0,), count=1, appearance=AppearanceConfig(**changed))
+    with pytest.raises(InvalidInput, match="doesn't show"):
+        make_images(config, tmp_path / "table", RunOptions(workers=1, quiet=True))

@@ -51,6 +51,30 @@ def test_metadata_that_are_not_the_run_s_or_the_task_s_are_faults(
     assert f"{name} is" in fault
 
 
+@pytest.mark.parametrize("name", ["expert", "constant"])
+def test_who_names_another_policy_everywhere_is_found_out_or_only_claims(
+    name: str, tmp_path: Path, capsys: Capture
+) -> None:
+    """The name in metadata, run and rows can all be changed; the pulls are still random's."""
+    file = collect(config(episodes=2), tmp_path, QUIET) / "data" / "episodes.h5"
+    made = open_episodes(file)
+    assert knotgym("dataset", "verify", file) == 0 and "claimed" not in capsys.readouterr().err
+    run, rows = made.facts["run"], made.episodes.episodes
+    run["config"]["policy"]["policy"] = name
+    episodes = made.episodes._replace(episodes=rows.replaced(policy=np.array([name] * 2)))
+    about = {**(made.metadata or {}), "algorithm_name": name}
+    for theirs in ("main_data.hdf5", "metadata.json"):
+        (file.parent / theirs).unlink()
+    for code in (run["versions"]["code"], "0" * 64):
+        run["versions"]["code"] = code
+        write_episodes(file, [episodes], made.task, {**made.facts, "run": run, "metadata": about})
+        status, said = knotgym("dataset", "verify", file), "".join(capsys.readouterr())
+        if code == "0" * 64 and name == "expert":  # whose plans may have been others then
+            assert status == 0 and "again: algorithm_name, policy" in said
+        else:
+            assert status == 1 and f"{name}, played again, pulls otherwise" in said
+
+
 def test_the_dataset_has_its_id_and_holds_every_episode(tmp_path: Path) -> None:
     folder = collect(config(), tmp_path, QUIET)
     assert folder == tmp_path / _distinct_id(config())

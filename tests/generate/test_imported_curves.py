@@ -77,6 +77,15 @@ def closed(points: Points, off: float = 0.0) -> Points:
 ONE: dict[str, Callable[[Points], str | bytes]] = {
     "commas.csv": table,
     "names of columns.csv": lambda p: "x,y,z\n" + table(p),
+    "other order.csv": lambda p: "z,y,x\n" + table(p[:, ::-1]),
+    "other columns.csv": lambda p: "name,radius,x,y,z,bead\n" + table(
+        ["k", 0.5, *point, k] for k, point in enumerate(p)
+    ),
+    "time and place.txt": lambda p: "t x y z\n" + table(
+        [[k / len(p), *point] for k, point in enumerate(p)], " "
+    ),
+    "time.dat": lambda p: "t 0\n" + table(p, " "),
+    "time of a box.dat": lambda p: "t = 0\n\n" + table(p, " "),
     "quoted numbers.csv": lambda p: table([[f'"{x}"' for x in row] for row in p]),
     "SUFFIX.CSV": table,
     "names after a mark.csv": lambda p: codecs.BOM_UTF8 + b"x,y,z\n" + table(p).encode(),
@@ -171,7 +180,9 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("shadow.csv", table(SHADOW), "after point 105 it meets itself after point 277"),
     ("spike.csv", table([*P[:9], P[8] + P[8] - P[7], P[8] * 0.5 + P[7] * 0.5, *P[9:]]), "embedded"),
     ("typed.csv", "O.5,0,1\n" + table(P), "line 1: "),
-    ("other names.csv", "z,y,x\n" + table(P), "line 1: "),
+    ("extra.csv", "x,y,z,r\n" + table(P), "line 2 has 3 of 4 columns"),
+    ("unnamed.csv", table(np.hstack([P, P])), "line 1 has 6 values"),
+    ("frames.dat", ("t 0\n" + table(A, " ")) * 2, "a link, 2 components"),
     ("flat.csv", table(P[:, :2]), "line 1 has 2 values"),
     ("flat and counted.csv", table(numbered(P[:, :2])), "its first column counts the rows"),
     ("radius.npy", npy(np.hstack([P, P[:, :1]])), r"\(n, 3\) array of points, got shape"),

@@ -6,11 +6,13 @@ import pytest
 from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
+from knotgym.common import InvalidInput
+from knotgym.envs import Marked
 from knotgym.loaders import GoalSampling, Symmetries, Transitions, Window, arrays, multiplied
 from knotgym.rope import CHAIN, MUJOCO, Rope
 from knotgym.rope import simulation as simulation_of
 from knotgym.states import read_states, shipped
-from knotgym.topology import label_many
+from knotgym.topology import GaussCode, label_many
 
 Array = NDArray[np.float64]
 COUNT = 64
@@ -138,3 +140,14 @@ def test_a_set_is_multiplied_and_strong_pulls_are_dropped() -> None:
     assert 0 < len(larger["actions"]) < 40 * count and np.abs(larger["actions"]).max() <= 1 + 1e-6
     same = multiplied(batch, 3, np.random.default_rng(5), of_pictures=True)
     assert len(same["actions"]) == 3 * count
+
+
+def test_marked_rows_as_long_as_vertices_of_more_beads_are_refused() -> None:
+    """Marked rows of 61 beads have the 414 numbers of vertices of two ropes of 69."""
+    points = read_states(shipped(), images=False).points[:2, :61]
+    rows = Marked.of(points, [GaussCode()] * 2).joined()
+    drawn, actions = Symmetries.drawn(2, np.random.default_rng(0)), np.zeros((2, 6))
+    with pytest.raises(InvalidInput, match="marked ones"):
+        drawn.applied({"observations": rows, "actions": actions})
+    rows[:] = np.random.default_rng(1).normal(size=rows.shape)
+    assert len(drawn.applied({"observations": rows, "actions": actions})["observations"]) == 2

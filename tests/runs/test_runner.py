@@ -88,7 +88,9 @@ def test_a_run_that_is_killed_again_and_again_makes_the_same_bytes(
 
 
 @every_recipe
-def test_three_shards_make_the_same_bytes(name: str, tmp_path: Path, unbroken: Unbroken) -> None:
+def test_three_shards_make_the_same_bytes(
+    name: str, tmp_path: Path, unbroken: Unbroken, capsys: Capture
+) -> None:
     out, make = tmp_path / name, RECIPES[name]
     for number in (2, 1, 3):
         left = make(out, replace(QUIET, shard=Shard(number, 3)))
@@ -96,7 +98,10 @@ def test_three_shards_make_the_same_bytes(name: str, tmp_path: Path, unbroken: U
     for number in (1, 2, 3, 1, 2, 3):  # what depends on the others' results
         make(out, replace(RESUMED, shard=Shard(number, 3)))
     assert not out.exists()
-    assert content(make(out, QUIET)) == unbroken(name)
+    capsys.readouterr()
+    assert content(make(out, replace(QUIET, quiet=False))) == unbroken(name)
+    said = capsys.readouterr().out
+    assert "not needed any more" in said and f"{name}-shard-3-of-3.journal" in said
 
 
 def test_a_shard_without_work_says_so(tmp_path: Path, capsys: Capture) -> None:
