@@ -175,8 +175,9 @@ def _training(
 
 def _trial(opened: Sequence[EpisodeDataset], config: CloneConfig) -> Trial:
     """Return what plays a network in episodes of the train split that no dataset has."""
+    shared: dict[str, Any] = {"split": config.split, "states": config.states, "engine": CHAIN}
     tasks = [replace(one.task, observation="state", endless=False) for one in opened] or [
-        TaskConfig(task=task, nx=nx, split=config.split, states=config.states, engine=CHAIN)
+        TaskConfig(task=task, nx=nx, observation="state", **shared)
         for task, nx in product(config.task, config.nx)
     ]
     numbers = [range(config.trials)[k :: len(tasks)] for k in range(len(tasks))]

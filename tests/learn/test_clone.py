@@ -98,7 +98,7 @@ def test_a_set_without_macro_actions_is_refused(played: Episodes, tmp_path: Path
 
 
 def test_demonstrations_are_made_on_the_way_by_any_number_of_workers(tmp_path: Path) -> None:
-    config = replace(CLONE, demonstrations=3, copies=1, nx=(1, 2))
+    config = replace(CLONE, demonstrations=3, copies=1, nx=(1, 2), trials=2)
     one, other = (train([], tmp_path / name, config) for name in ("one", "other"))
     card = json.loads((one / "policy.json").read_text())
     assert card["episodes"] == 6 and card["decisions"] >= 12
