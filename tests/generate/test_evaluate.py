@@ -1,3 +1,4 @@
+import contextlib
 import io
 import json
 from dataclasses import replace
@@ -111,6 +112,23 @@ def test_two_outputs_are_not_one_file(
         with pytest.raises(Occupied, match="two outputs of one command"):
             evaluate(config(), replace(QUIET, overwrite=True), **outputs)
     assert not (tmp_path / "r.gif").exists()
+
+
+def test_what_evaluate_writes_does_not_depend_on_how_it_is_run(tmp_path: Path) -> None:
+    """A policy of one's own with a card, whose command was once claimed with its options."""
+    (tmp_path / "still.py").write_text("CARD = {'seed': 1}\nact = lambda seen: [0.0] * 6\n")
+    task = "--policy still:act --policy random --nx 1 --engine chain --set task.horizon=5"
+    made = dict[str, list[bytes]]()
+    with contextlib.chdir(tmp_path):
+        for own in ("--workers 1", "--workers 2", "--workers 1 --overwrite", "--quiet --overwrite"):
+            outputs = ("--out", "r.json", "--record", "e.h5", "--video", "f.gif")
+            words = (*task.split(), *own.split(), "--episodes", 40, *outputs)
+            assert knotgym("evaluate", *words) == 0
+            for name in outputs[1::2]:
+                made.setdefault(name, []).append(Path(name).read_bytes())
+                if own == "--workers 1":  # the later ones are overwritten
+                    Path(name).unlink()
+    assert {name: len({*some}) for name, some in made.items()} == dict.fromkeys(made, 1)
 
 
 def test_policies_of_one_name_have_a_row_each() -> None:

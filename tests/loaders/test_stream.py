@@ -1,5 +1,6 @@
 """Streams: batches of episodes and pictures that are made as they are needed."""
 
+import json
 import multiprocessing
 import os
 import pickle
@@ -226,6 +227,48 @@ def test_passes_are_disjoint_complete_and_in_order(
             first = loader()
             first.load_state_dict(ended)
             assert [*first] == right[2]
+
+
+RANK = """
+import json, sys
+import torch
+from torch.utils.data import DataLoader
+from knotgym.generate import CollectConfig
+from knotgym.loaders import stream
+from knotgym.envs import TaskConfig
+
+def main(rank, folder, start, workers):
+    torch.distributed.init_process_group(
+        "gloo", init_method=f"file://{folder}/group", rank=rank, world_size=2
+    )
+    task = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=6)
+    data = stream(CollectConfig(task=task, policy="random"), 3, batch=8, block=4, batches=8)
+    vars(data)["_batch_of"] = int  # batches are their numbers
+    words = {"multiprocessing_context": start} if workers else {}
+    loader = DataLoader(data, batch_size=None, num_workers=workers, **words)
+    passes = [[*loader] for _ in range(2)]
+    torch.distributed.barrier()
+    torch.distributed.destroy_process_group()
+    open(f"{folder}/{rank}", "w").write(json.dumps(passes))
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), *sys.argv[2:4], int(sys.argv[4]))
+"""
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize(("start", "workers"), [("none", 0), ("spawn", 2), ("forkserver", 2)])
+def test_the_ranks_of_a_process_group_share_each_pass(
+    start: str, workers: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("torch")
+    (tmp_path / "rank.py").write_text(RANK)
+    words = [*map(str, (tmp_path, start, workers))]
+    begin = [sys.executable, str(tmp_path / "rank.py")]
+    ranks = [subprocess.Popen([*begin, str(rank), *words]) for rank in (0, 1)]
+    assert [one.wait(300) for one in ranks] == [0, 0]
+    passes = [json.loads((tmp_path / str(rank)).read_text()) for rank in (0, 1)]
+    assert passes == [[[*range(8 * k + rank, 8 * k + 8, 2)] for k in (0, 1)] for rank in (0, 1)]
 
 
 @pytest.mark.clients
