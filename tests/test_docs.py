@@ -6,8 +6,11 @@ import ast
 import importlib
 import inspect
 import json
+import os
 import re
 import runpy
+import subprocess
+import sys
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -30,6 +33,7 @@ from knotgym.states import write_states
 
 from .scripts import ROOT
 from .small_job import knotgym as typed
+from .test_readme import steps
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
@@ -116,6 +120,7 @@ def test_the_ten_lines_of_the_readme_run(capsys: Capture) -> None:
 ELSEWHERE = {
     "data.md": "images(",  # below, with pictures
     "images.md": "read_rows(",
+    "own-task.md": "own",  # below, with its commands
     "recipes.md": "# recipe",  # by tests/examples/test_learners.py
 }
 
@@ -148,6 +153,21 @@ def test_the_blocks_that_read_pictures_run(tmp_path: Path, monkeypatch: Patch) -
         for block in blocks(DOCS / page):
             if ELSEWHERE[Path(page).name] in block:
                 exec(compile(block, page, "exec"), {})
+
+
+@pytest.mark.thorough
+def test_the_page_of_an_own_task_runs_line_by_line(tmp_path: Path) -> None:
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    own = {**os.environ, "PATH": path, "MINARI_DATASETS_PATH": str(tmp_path / "minari")}
+    text = (DOCS / "own-task.md").read_text(encoding="utf-8")
+    assert not re.search(r"knotgym(\.\w+)*\._", text)
+    for kind, lines in steps(text):
+        words = ["bash", "-euc", lines]
+        if kind == "python":
+            named = re.match(r"# (\w+\.py)\n", lines)
+            (script := tmp_path / (named[1] if named else "block.py")).write_text(lines)
+            words = [sys.executable, str(script)]
+        subprocess.run(words, cwd=tmp_path, env=own, check=True, timeout=600)
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -63,7 +63,7 @@ def collect(
 
 @command(
     {"": SuiteConfig},
-    f"tasks=--task nx policies=--policy splits=--split states size recorded {RUN}",
+    f"tasks=--task nx policies=--policy splits=--split states size recorded verify {RUN}",
 )
 def suite(given: Given, *, out: Path | None = None, episodes: Listed = None) -> None:
     """Make the fixed benchmark of offline datasets, or a part of it.
@@ -77,6 +77,8 @@ def suite(given: Given, *, out: Path | None = None, episodes: Listed = None) -> 
     Examples:
 
         knotgym suite --states bench --size 100k --task tie --nx 2-5
+
+        knotgym suite --states bench --size 100k --task tie --nx 2-5 --verify
 
         knotgym suite --recorded --task tie --nx 2
 

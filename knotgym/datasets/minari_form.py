@@ -110,6 +110,11 @@ class MinariMetadata:
         for name in ("author", "author_email"):
             object.__setattr__(self, name, tuple(sorted(getattr(self, name))))
 
+    @staticmethod
+    def faults(dataset: EpisodeDataset) -> Iterator[str]:
+        """Yield where Minari's files beside a dataset aren't what follows from its columns."""
+        return minari_faults(dataset)
+
 
 def publish(
     parts: Sequence[Episodes],

@@ -214,6 +214,8 @@ class SuiteConfig:
             train split would then start like those of the datasets.
         recorded: rebuild datasets from the recordings that are included, by stepping alone. Setups
             without a recording are left out; random episodes follow from the seed.
+        verify: make nothing; compare the digest of the values of each set with the known one, see
+            docs/suite.md. Exit status 1 if a set isn't there, or isn't the same.
     """
 
     SUITE: ClassVar[dict[str, Any]] = SUITE  # what `data/suite.toml` says
@@ -229,6 +231,7 @@ class SuiteConfig:
     observation: str = SUITE["observation"]
     seed: Seed = SUITE["seed"]
     recorded: bool = False
+    verify: bool = False
 
     def __post_init__(self) -> None:
         if self.size and BENCH not in self.states:

@@ -9,8 +9,9 @@ Every dataset is an ordinary collection, see `collect`, or its pulls come from t
 ships. This module makes them one after the other, and one card for all.
 """
 
+import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -22,7 +23,7 @@ import knotgym
 from knotgym import common
 from knotgym.common import Failed, InvalidFile, InvalidInput, KnotgymError, one_line, require_output
 from knotgym.control import PolicyConfig, replay
-from knotgym.datasets import expanded, open_episodes, suite_card
+from knotgym.datasets import EpisodeDataset, MinariMetadata, expanded, open_episodes, suite_card
 from knotgym.generate.collection import collect, require_collectable, run_facts
 from knotgym.generate.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
 from knotgym.generate.old_formats import old_recordings
@@ -34,6 +35,7 @@ from knotgym.states import minari_root
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
 _RECORDINGS = Path(str(files("knotgym.generate") / "data" / "recordings.h5"))  # that ship
+_DIGESTS = Path(str(files("knotgym.generate") / "data" / "digests.json"))
 _DRAWN = 8  # episodes of a finished set that are played again
 
 
@@ -54,12 +56,15 @@ def make_suite(
         InvalidInput, InvalidFile: an existing dataset was made by another run or can't be
             read; or nothing that is asked for is recorded.
         Failed: this machine gets other episodes than recorded. The datasets and the card are
-            finished.
+            finished. Or, to verify, a set isn't there or isn't known to be right.
     """
     progress = progress or Progress(options.quiet)
     root = Path(out) if out is not None else minari_root()
     folder = root / "knotgym"
     wanted = _recorded(config) if config.recorded else [*config.sets()]
+    if config.verify:
+        _require_known([one.dataset_id for one in wanted], root, progress)
+        return folder
     for one in wanted:  # before anything is made
         require_collectable(one, root, options)
     _require_own_card(folder, options)
@@ -80,6 +85,52 @@ def make_suite(
             " kept, as a collection on this machine would be, and the card says so"
         )
     return folder
+
+
+class KnownDigests(dict[str, Any]):
+    """The digests that sets are known by: id -> `steps` and `values`."""
+
+    @staticmethod
+    def page() -> str:
+        """Return a table of all, in Markdown."""
+        head = ["| set | steps | digest of values |", "| --- | ---: | --- |"]
+        rows = (f"| `{k}` | {v['steps']:,} | `{v['values'][:16]}` |" for k, v in DIGESTS.items())
+        return "\n".join([*head, *rows])
+
+
+DIGESTS = KnownDigests(json.loads(_DIGESTS.read_text("utf-8")))
+
+
+def _values(dataset: EpisodeDataset) -> str:
+    """Hash the values of a set, in whatever files it is."""
+    return hashlib.sha256(json.dumps(dataset.digests, sort_keys=True).encode()).hexdigest()
+
+
+def _require_known(ids: Iterable[str], root: Path, progress: Progress) -> None:
+    """Compare finished sets with the digests that are known, and with those in their files.
+
+    Raises:
+        Failed: one isn't there, isn't whole, has other values, or none are known of it.
+    """
+    wrong = 0
+    for name in ids:
+        said, right = "isn't there", DIGESTS.get(name, {}).get("values")
+        if (root / name).exists():
+            try:
+                dataset = open_episodes(root / name)
+                faults = [*dataset.digest_faults(), *MinariMetadata.faults(dataset)]
+                values = _values(dataset)
+                other = f"has other values than the known {right[:16]}" if right else "isn't known"
+                said = one_line(faults[0]) if faults else "" if values == right else other
+                progress.say(f"{name}: {values}{f': {said}' * bool(said)}")
+            except KnotgymError as error:
+                said = one_line(error)
+                progress.say(f"{name}: {said}")
+        else:
+            progress.say(f"{name} {said}")
+        wrong += bool(said)
+    if wrong:
+        raise Failed(f"{wrong} of these sets aren't known to be right")
 
 
 def _recorded(config: SuiteConfig) -> list[CollectConfig]:
@@ -147,6 +198,7 @@ def _describe_set(made: Path) -> dict[str, Any]:
         raise InvalidInput(f"{what} ({one_line(error)}); remove it") from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
     digests, agreement = dataset.digests, "no"
+    known_values = DIGESTS.get(dataset.name, {}).get("values")
     if dataset.name in (known := old_recordings(_RECORDINGS)):
         _, recording = known[dataset.name]
         some = recording.select(np.arange(min(rows.rows, recording.episodes.rows)))
@@ -174,6 +226,8 @@ def _describe_set(made: Path) -> dict[str, Any]:
         **episodes.distinct(),
         "bytes": sum(file.stat().st_size for file in written),
         "sha256": digests["digest"],
+        "values": (values := _values(dataset)),
+        "as known": {None: "not known", values: "yes"}.get(known_values, "no"),
         "versions": versions,
         "recorded": agreement,
     }

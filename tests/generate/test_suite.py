@@ -9,16 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 import pytest
-from pytest_types import Patch
+from pytest_types import Capture, Patch
 
 from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.generate import suite as module
-from knotgym.generate.collection import run_facts
+from knotgym.generate.collection import collect, run_facts
 from knotgym.generate.episode_configs import SuiteConfig
 from knotgym.generate.suite import _describe_set, make_suite
 from knotgym.runs import RunOptions
+
+from ..small_job import knotgym
 
 ID = "knotgym/unknot-nx2/{}-v0"
 QUIET = RunOptions(workers=1, quiet=True)
@@ -116,3 +119,30 @@ def test_a_machine_that_simulates_otherwise_says_so(tmp_path: Path, monkeypatch:
     assert (tmp_path / ID.format("random")).is_dir()
     with pytest.raises(InvalidFile, match="nothing of this is recorded"):
         make_suite(replace(PART, nx=(4,), policies=("expert",)), tmp_path, QUIET)
+
+
+def test_a_set_is_the_known_one_or_says_what_it_is(
+    tmp_path: Path, monkeypatch: Patch, capsys: Capture
+) -> None:
+    """The values are compared, in whatever files they are; one flipped bit is another set."""
+    monkeypatch.setattr(module, "DIGESTS", known := dict[str, Any]())
+    task = ("--task", "unknot", "--nx", "2", "--states", "bench", "--policy", "random")
+    words = ("suite", *task, "--out", tmp_path, "--verify")
+    name = "knotgym/unknot-nx2/random-chain-bench-10k-v0"
+    assert knotgym(*words) == 1 and f"{name} isn't there" in capsys.readouterr().out
+    some = SuiteConfig(tasks=("unknot",), nx=(2,), states=("bench",), policies=("random",))
+    (asked,) = some.sets()
+    collect(replace(asked, steps=60), tmp_path, QUIET)
+    assert knotgym(*words) == 1 and "isn't known" in capsys.readouterr().out
+    file = tmp_path / name / "data" / "episodes.h5"
+    known[name] = {"steps": 60, "values": module._values(open_episodes(file))}
+    assert knotgym(*words) == 0
+    for one in (file, file.with_name("main_data.hdf5")):
+        whole = one.read_bytes()
+        with h5py.File(one, "r+") as opened:
+            column = opened["steps/reward" if one == file else "episode_0/rewards"]
+            column[0] = np.nextafter(column[0], 1, dtype=column.dtype)
+        assert knotgym(*words) == 1, one
+        one.write_bytes(whole)
+    known[name]["values"] = "0" * 64
+    assert knotgym(*words) == 1 and "has other values" in capsys.readouterr().out

@@ -356,14 +356,14 @@ def suite_card(report: Mapping[str, Any], references: Sequence[Sequence[object]]
     """
     sets = report["sets"]
     columns = "id states split engine policy seed episodes steps starts goals pairs".split()
-    head = (*columns, "reached, %", "MB", "as recorded", "SHA-256 of starts and pulls")
+    head = (*columns, "reached, %", "MB", "as recorded", "digest of values", "as known")
     rows = []
     for name, one in sorted(sets.items()):
-        size, digest = f"{one['bytes'] / 1e6:.1f}", f"`{one['sha256'][:16]}...`"
+        size, values = f"{one['bytes'] / 1e6:.1f}", (f"`{one['values'][:16]}`", one["as known"])
         own = (plain(one[key]) for key in columns[1:])
         share = f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f}"
         reached = "" if one["endless"] else share
-        rows.append((_code_span(name), *own, reached, size, plain(one["recorded"]), digest))
+        rows.append((_code_span(name), *own, reached, size, plain(one["recorded"]), *values))
     return filled_template(
         "suite_card.md",
         count=len(sets),
