@@ -1,6 +1,7 @@
 """A stranger adds a record to a table: it is right everywhere, or refused where it can't be."""
 
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,18 +10,20 @@ import numpy as np
 import pytest
 from minari import MinariDataset
 from pytest_types import Patch
+from rich.console import Console
 from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.adapters import goal_env
 from knotgym.common import InvalidInput, Mark, configuration
 from knotgym.control import PolicyConfig
-from knotgym.datasets import open_episodes
+from knotgym.datasets import merge, open_episodes
 from knotgym.envs import OBSERVATIONS, EpisodeBatch, TaskConfig
-from knotgym.generate import CollectConfig, collect
+from knotgym.generate import CollectConfig, EvaluateConfig, collect, compare, evaluate
 from knotgym.loaders import Transitions, arrays, multiplied
 from knotgym.quality import Limits, Quality
-from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, simulation
+from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, Rope, engines, simulation
+from knotgym.rope.chain import chain_simulation
 from knotgym.runs import RunOptions
 from knotgym.states import SPLITS, States, read_states, shipped, write_states
 
@@ -58,6 +61,41 @@ def test_an_engine(tmp_path: Path, monkeypatch: Patch) -> None:
     steps, hard = (open_episodes(one).episodes.steps for one in (made, collected(tmp_path)))
     assert steps["action"].shape == hard["action"].shape
     assert not np.array_equal(steps["observation"], hard["observation"])
+
+
+def test_another_contact_stiffness(tmp_path: Path, monkeypatch: Patch) -> None:
+    """What other physics made is refused by name: merged, compared, verified."""
+    config = EvaluateConfig(
+        task=TASK, nx=(1,), policies=(PolicyConfig(policy="random"),), episodes=2
+    )
+    paths = [tmp_path / name for name in ("old", "new", "old.json", "new.json")]
+    made = [collected(paths[0])]
+    evaluate(config, ALONE, out=paths[2])
+    physics = chain_simulation._physics_of
+
+    def stiff(rope: Rope) -> Any:
+        own = physics(rope)
+        return own._replace(contact_stiffness=8 * own.contact_stiffness)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(chain_simulation, "_physics_of", stiff)
+        patch.setattr(engines, "_shared", {})
+        patch.setattr(engines, "_fixed_run", cache(engines._fixed_run.__wrapped__))
+        made.append(collected(paths[1]))
+        evaluate(config, ALONE, out=paths[3])
+        (fault,) = knotgym.verify(made[0])
+    assert "made with an engine that does otherwise" in fault
+    with pytest.raises(InvalidInput, match="that do otherwise made these datasets: .*old.*new"):
+        merge([str(one) for one in made], tmp_path / "both.h5")
+    with pytest.raises(InvalidInput, match="that do otherwise played these results: .*new.json"):
+        compare(paths[2:], Console())
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_engine_s_digest_is_the_same_on_all_processors(engine: str) -> None:
+    """They differ by 1e-12 m at most, and no coordinate is as near to where rounding turns."""
+    place = 1e6 * engines._fixed_run(ENGINES[engine].simulation)
+    assert np.abs(place - np.floor(place) - 0.5).min() > 1e-4
 
 
 def rope_alone(frames: Any, ropes: Any, goals: Any) -> np.ndarray:

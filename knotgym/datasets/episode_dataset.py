@@ -13,6 +13,7 @@ a protocol and claims: every pull of an evaluation. The attributes are:
     task        settings of the environment
     tasks       those that the column `setup` counts, in files that have it; `task` joins them
     rope        fingerprint of the rope model
+    engine      digest of what the engine does, see `rope.ENGINES`; left out where nobody knows
     versions    package -> version that wrote the file
     digest      SHA-256 of starts and pulls, the same in both forms
     given       column that nothing can make again -> its SHA-256
@@ -48,6 +49,7 @@ from knotgym import (
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
 from knotgym.datasets.episodes import FORMS, PULLS, STORED_PULLS, Episodes, fitted
 from knotgym.envs import TaskConfig
+from knotgym.rope import ENGINES
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 
 FORMAT, VERSION = "knotgym-episodes", 3
@@ -56,7 +58,7 @@ _DRAWN = 1024  # starts that are drawn together
 _LISTED = 5  # datasets that a message names
 MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
-_KEPT_FACTS = ("metadata", "run", "selection", "tasks", STATES_DIGEST)
+_KEPT_FACTS = ("metadata", "run", "selection", "tasks", "engine", STATES_DIGEST)
 _SEAL = "attributes"
 
 
@@ -118,8 +120,9 @@ class EpisodeDataset:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """The attributes that stay when rows are taken: run, metadata, selection, states."""
-        return {k: self.attributes[k] for k in _KEPT_FACTS if k in self.attributes}
+        """The attributes that stay when rows are taken: run, selection, states, engine, ..."""
+        known = {k: self.attributes[k] for k in _KEPT_FACTS if k in self.attributes}
+        return {"engine": None, **known}  # whose engine nobody knows isn't of today's
 
     @property
     def digests(self) -> dict[str, Any]:
@@ -365,8 +368,8 @@ def write_episodes(
         path: of the file.
         parts: sets of episodes, which are appended; all recordings, or none.
         task: the environment.
-        facts: further attributes: metadata, run, selection, and the digest of the task's states,
-            which are read here if it isn't given.
+        facts: further attributes: metadata, run, selection, and the digests of the task's states
+            and of the engine, which are found here if they aren't given. None is left out.
         pack: whether to compress the file, which then isn't mapped when read.
 
     Raises:
@@ -378,8 +381,10 @@ def write_episodes(
     own = dict(facts or {})
     if not is_bundled(task.states) and STATES_DIGEST not in own:
         own[STATES_DIGEST] = common.sha256(resolve_states(task.states))
+    if "engine" not in own:
+        own["engine"] = ENGINES[task.engine].behaviour()
     attributes = {
-        **own,
+        **{name: fact for name, fact in own.items() if fact is not None},
         "form": "recording" if parts[0].is_recording else "columns",
         "task": common.as_json(task),
         "rope": task.rope_config.fingerprint,

@@ -22,6 +22,7 @@ from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import ENGINES
 from knotgym.states import NEAR, distances, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
@@ -158,7 +159,9 @@ def show_episodes(source: Any) -> dict[str, Any]:
 def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield the faults for which nothing else can be checked."""
     own, steps = dataset.episodes
-    if unlike := dataset.task.rope_config.unlike(dataset.attributes.get("rope")):
+    said, task = dataset.attributes, dataset.task
+    unlike = task.rope_config.unlike(said.get("rope"))
+    if unlike := unlike or ENGINES[task.engine].unlike(said.get("engine")):
         yield f"{dataset.path}: made with {unlike}"
     for c, values in [(c, table[c.name]) for table in (own, steps) for c in table.schema.columns]:
         if (

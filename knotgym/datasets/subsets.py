@@ -182,7 +182,7 @@ def merge(
 
     Raises:
         MissingFile: one of them doesn't exist.
-        InvalidInput: they are of different kinds, ropes, splits or states, or share a row.
+        InvalidInput: they are of different kinds, ropes, engines, splits or states, or share a row.
         Occupied: the output exists, and `overwrite` is False.
     """
     if not given:
@@ -210,10 +210,12 @@ def merge(
         with atomic_write(out, overwrite=overwrite) as temporary:
             write_states(temporary, merged)
         return f"{out}: {len(merged)} states"
-    task, parts = _joint_task(datasets), [one.episodes for one in datasets]
+    task, engine = _joint_task(datasets), _one_engine(datasets)
+    parts = [one.episodes for one in datasets]
     _require_distinct(datasets)
     kept = datasets[0].facts
     facts = kept if len(datasets) == 1 else {k: v for k, v in kept.items() if k == STATES_DIGEST}
+    facts = {**facts, "engine": engine}
     if dataset_id:
         about, carried = _metadata(datasets, dataset_id), _states(datasets[0])
         made = publish(parts, task, about, out, states=carried, facts=facts, overwrite=overwrite)
@@ -497,6 +499,16 @@ def _facts(dataset: EpisodeDataset) -> dict[str, object]:
         "form": dataset.attributes["form"],
         "state file, by its SHA-256": sha256(states) if states else dataset.task.states,
     }
+
+
+def _one_engine(datasets: Sequence[EpisodeDataset]) -> str | None:
+    """Return the digest of the engine that made all datasets; None if one doesn't say it."""
+    said = {one.path: one.attributes.get("engine") for one in datasets}
+    digests = {str(one): path for path, one in said.items() if one is not None}
+    if len(digests) > 1:
+        which = ", ".join(f"{path} {digest}" for digest, path in digests.items())
+        raise InvalidInput(one_line(f"engines that do otherwise made these datasets: {which}"))
+    return None if None in said.values() else next(iter(digests))
 
 
 def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:

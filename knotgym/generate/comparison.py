@@ -16,6 +16,7 @@ from knotgym.common import InvalidFile, InvalidInput, Mark, from_json, one_line,
 from knotgym.generate.entries import read_entry, states_digests
 from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.generate.results import Result, evaluation_in
+from knotgym.rope import ENGINES
 from knotgym.runs import Difference, narrow_table
 
 _WIDTH = 15  # characters of a plot
@@ -29,6 +30,7 @@ class _Score(NamedTuple):
         cell: settings that must be the same in what it is compared with, as text.
         seed: of the evaluation.
         protocol: of the evaluation.
+        engine: digest of what the engine did; "" if the file doesn't say it.
         result: the result.
     """
 
@@ -36,6 +38,7 @@ class _Score(NamedTuple):
     cell: str
     seed: int
     protocol: str
+    engine: str
     result: Result
 
 
@@ -52,6 +55,7 @@ def _scores_in(path: Path) -> list[_Score]:
                 raise InvalidFile(f"{path}: {faults[0]}")
             results.append(one)
         config, digests = entry.config, states_digests(entry.config)
+        engine = ENGINES[config.task.engine].behaviour()  # which played it again
     else:
         require_regular(path, "file")
         with open(path, "rb") as file:
@@ -63,11 +67,12 @@ def _scores_in(path: Path) -> list[_Score]:
         with evaluation_in(path) as (content, results):
             config = from_json(EvaluateConfig, content["config"])
             digests = dict((content["source"] or {}).get("states", {}))
+            engine = str(content.get("engine", ""))
     rules = Mark.values(config.task, "rules", "physics") | {"states": sorted(digests.values())}
     own = ({name: getattr(one, name) for name in ("task", "nx", "split")} for one in results)
     cells = [json.dumps([*(rules | one).items()]) for one in own]
     return [
-        _Score(path, cell, config.seed, config.protocol, one)
+        _Score(path, cell, config.seed, config.protocol, engine, one)
         for cell, one in zip(cells, results, strict=True)
     ]
 
@@ -95,7 +100,7 @@ def compare(paths: Sequence[Path], console: Console) -> None:
 
     Raises:
         InvalidFile: an entry doesn't replay, or a file is neither.
-        InvalidInput: no two results are of one cell.
+        InvalidInput: no two results are of one cell, or engines that do otherwise played some.
     """
     scores, cells = [one for path in paths for one in _scores_in(path)], dict[str, list[_Score]]()
     for one in scores:
@@ -103,7 +108,10 @@ def compare(paths: Sequence[Path], console: Console) -> None:
     if all(len(own) < 2 for own in cells.values()):
         raise InvalidInput("no two results are of the same task, nx, split, states and engine")
     for own in filter(lambda own: len(own) > 1, cells.values()):
-        base = own[0]
+        base, engines = own[0], {one.engine: one.file for one in own if one.engine}
+        if len(engines) > 1:
+            which = ", ".join(f"{file} {digest}" for digest, file in engines.items())
+            raise InvalidInput(one_line(f"engines that do otherwise played these results: {which}"))
         found = [_difference(one, base) for one in own[1:]]
         reach = max([0.01, *(abs(end) for one, _ in found for end in one[1:3])])
         table = narrow_table(

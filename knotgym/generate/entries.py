@@ -136,7 +136,8 @@ def read_entry(path: Path) -> Entry | None:
         states, claimed = states_digests(config), [dict(one) for one in said["claims"]]
     if said.get("states") != states:
         raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
-    if unlike := config.task.rope_config.unlike(said.get("rope")):
+    unlike = config.task.rope_config.unlike(said.get("rope"))
+    if unlike := unlike or ENGINES[config.task.engine].unlike(said.get("engine")):
         raise InvalidFile(f"{path} was played with {unlike}")
     own, steps = episodes
     if own.rows != len(tasks) * config.episodes:  # before there is an array of so many

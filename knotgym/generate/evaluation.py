@@ -35,6 +35,7 @@ from knotgym.generate.collection import blocks
 from knotgym.generate.entries import write_entry
 from knotgym.generate.episode_configs import PROTOCOLS, EvaluateConfig
 from knotgym.generate.results import Result, evaluation_in, reached, show
+from knotgym.rope import ENGINES
 
 # fields of a learner's card
 _TRAINING = (
@@ -251,6 +252,7 @@ def _report(
         "interval": list(runs.cluster_interval(success, starts, goals)),
         "episodes": len(success),
         **made_by,
+        "engine": ENGINES[config.task.engine].behaviour(),
         "beside": dict(beside),
         "learners": {one.policy: _training(one) for one in config.policies if one.card()},
         "results": [asdict(one) for one in results],
