@@ -48,7 +48,8 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 # `columns.toml` has the types of Arrow, from which the schema of pyarrow is made
 _COLUMNS_FILE = files("knotgym.datasets") / "columns.toml"
 TABLES: dict[str, Any] = tomllib.loads(_COLUMNS_FILE.read_text("utf-8"))
-TABLES["pictures"]["quality"]["type"] = dict.fromkeys(Quality.UNITS, "float64")
+_MEASURES = "quality"  # the one column whose fields may be fewer
+TABLES["pictures"][_MEASURES]["type"] = dict.fromkeys(Quality.UNITS, "float64")
 _CODES = STATES.only(*("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot"))
 COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
 
@@ -290,7 +291,7 @@ def rows_of(table: Any) -> Iterator[dict[str, Any]]:
 
 def measures_of(table: Any) -> dict[str, tuple[str, NDArray[np.float64]]]:
     """Return the unit and the values, (n,), of each measure of a table's pictures."""
-    whole = table["quality"].combine_chunks()
+    whole = table[_MEASURES].combine_chunks()
     names = [field.name for field in whole.type]
     return {n: (Quality.UNITS.get(n, ""), whole.field(n).to_numpy()) for n in names}
 
@@ -374,7 +375,9 @@ def _require_schema(file: Any, stored: int) -> None:
         if len(at) != 1:
             raise InvalidFile(f"column {wanted.name} must exist once, found {len(at)}")
         kind = found.field(at[0]).type
-        if kind != wanted.type:
+        measured = wanted.name == _MEASURES and kind.num_fields
+        # a table from before a measure was added lacks it
+        if kind != wanted.type and not (measured and {*kind} <= {*wanted.type}):
             raise InvalidFile(f"column {wanted.name} is {kind}, should be {wanted.type}")
     metadata = file.metadata
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]

@@ -187,7 +187,7 @@ def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
     """Yield how a value differs from the right one; numbers may differ by rounding."""
     if isinstance(right, dict):
         for inner, one in right.items():
-            yield from _unlike(f"{name}.{inner}", found[inner], one)
+            yield from _unlike(f"{name}.{inner}", found.get(inner, one), one)
     elif isinstance(right, (bytes, np.ndarray)):
         # the same picture may be compressed in other ways
         read: Any = image_table.decode if isinstance(right, bytes) else np.asarray
@@ -387,7 +387,8 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
         yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:
         yield f"split is {row['split']!r}, should be {' or '.join(IMAGE_SPLITS)}"
-    if missed := Limits.UNAMBIGUOUS.faults(Quality(**row["quality"]), row["nx"]):
+    measured = Quality(**dict.fromkeys(Quality.UNITS, np.nan) | row["quality"])
+    if missed := Limits.UNAMBIGUOUS.faults(measured, row["nx"]):
         yield f"the code is ambiguous in the picture: {', '.join(missed)}"
 
 

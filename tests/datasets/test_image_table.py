@@ -12,14 +12,18 @@ import numpy as np
 import pytest
 from synthetic_pictures import picture_rows
 
+import knotgym
 from knotgym.common import InvalidFile, InvalidInput
+from knotgym.datasets import arrow, select
 from knotgym.datasets import image_table as tables
-from knotgym.datasets import select
 from knotgym.datasets.image_table import decode, drawn_table, encode, read_rows, read_table
 from knotgym.datasets.row_verification import _image_faults
 from knotgym.datasets.subsets import kept
+from knotgym.loaders.pictures import Pictures
 from knotgym.rendering import AppearanceConfig
-from knotgym.states import read_states, shipped
+from knotgym.states import read_states, shipped, write_states
+
+from ..small_job import knotgym as typed
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +57,33 @@ def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
         return pa.Table.from_pylist(rows, schema=table.schema)
 
     return changed(shard, tmp_path, change)
+
+
+def test_tables_from_before_a_measure_was_added_stay_valid(shard: Path, tmp_path: Path) -> None:
+    """Read, verified, selected, shown and streamed; a measure that isn't one is refused."""
+
+    def with_measures(change: Callable[[Any], Any]) -> Path:
+        table = read_table(shard)
+        column = arrow().array([change(one) for one in table["quality"].to_pylist()])
+        made = table.set_column(table.column_names.index("quality"), "quality", column)
+        path = tmp_path / shard.name
+        path.write_bytes(tables.parquet(made))
+        return path
+
+    older = with_measures(lambda own: {k: v for k, v in own.items() if k != "writhe"})
+    assert knotgym.verify(older) == []
+    part = select(older, tmp_path / "part.parquet", where="nx >= 0 and margin > 0")
+    assert knotgym.verify(part) == [] and "writhe" not in tables.measures_of(read_table(part))
+    assert typed("dataset", "show", older, "--quiet") == 0
+    assert typed("dataset", "page", older, "--out", tmp_path / "page.html", "--quiet") == 0
+    loaded = Pictures(read_table(older, columns=Pictures.COLUMNS), 5)
+    assert loaded.batch([0])["image"].shape[0] == 1
+    few = read_states(shipped()).take([0, 20])
+    names = {*few.table} - {"quality/writhe"}
+    write_states(tmp_path / "few.h5", type(few)(few.table.only(*names), few.attributes))
+    assert knotgym.verify(tmp_path / "few.h5") == []
+    with pytest.raises(InvalidFile, match="column quality is struct<.*new: double>, should be"):
+        read_table(with_measures(lambda own: own | {"new": 1.0}))
 
 
 def test_a_file_of_selected_pictures_is_known_by_its_suffix(shard: Path, tmp_path: Path) -> None:
