@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from minari import MinariDataset
-from pytest_types import Patch
+from pydantic import PositiveInt
+from pytest_types import Capture, Patch
 from rich.console import Console
 from synthetic_episodes import TINY
 
@@ -17,15 +18,19 @@ import knotgym
 from knotgym.adapters import goal_env
 from knotgym.common import InvalidInput, Mark, configuration
 from knotgym.control import PolicyConfig
-from knotgym.datasets import merge, open_episodes
+from knotgym.datasets import cards, merge, open_episodes
+from knotgym.datasets import manifest as manifests
+from knotgym.datasets.manifest import read_manifest
 from knotgym.envs import OBSERVATIONS, EpisodeBatch, TaskConfig
 from knotgym.generate import CollectConfig, EvaluateConfig, collect, compare, evaluate
-from knotgym.loaders import Transitions, arrays, multiplied
+from knotgym.loaders import Transitions, Window, arrays, multiplied
 from knotgym.quality import Limits, Quality
 from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, Rope, engines, simulation
 from knotgym.rope.chain import chain_simulation
 from knotgym.runs import RunOptions
 from knotgym.states import SPLITS, States, read_states, shipped, write_states
+
+from .small_job import knotgym as typed
 
 ALONE = RunOptions(workers=1, quiet=True)
 TASK = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=5)
@@ -273,3 +278,66 @@ def test_an_array_with_a_row_per_rope_goes_with_its_episode() -> None:
     one.copy_from(other, np.array([0]), np.array([1]))
     assert one.mood.tolist() == [0, 7] and one.seed.tolist() == [3, 3]
     assert one.number.tolist() == [-1, -1]
+
+
+def test_a_stride_of_windows(monkeypatch: Patch) -> None:
+    """Stacks of every second observation: every loader reads them by one function."""
+
+    @configuration
+    class Strided(Window):
+        stride: PositiveInt = 1
+
+    def stacked(self: Transitions, states: np.ndarray, segments: np.ndarray) -> np.ndarray:
+        window, first = self.window, (self.starts[segments] + segments)[:, None]
+        assert isinstance(window, Strided) and window.stack
+        return np.maximum(states[:, None] + window.stride * np.arange(1 - window.stack, 1), first)
+
+    plain = arrays(TINY["random"], observation="state")
+    monkeypatch.setattr(Transitions, "_stack", stacked)
+    opening: Any = {"observation": "state", "window": Strided(stack=2, stride=2)}
+    held = arrays(TINY["random"], **opening)
+    begins = np.append(0, np.flatnonzero(plain["terminals"] | plain["timeouts"]) + 1)
+    rows = np.arange(len(plain["rewards"]))
+    first = begins[np.searchsorted(begins, rows, side="right") - 1]
+    for k, row in enumerate((np.maximum(rows - 2, first), rows)):
+        np.testing.assert_array_equal(held["observations"][:, k], plain["observations"][row])
+    again = Transitions(TINY["random"], **opening).batch(rows)
+    for name, own in held.items():
+        np.testing.assert_array_equal(again[name], own)
+
+
+def test_a_file_of_a_states_folder_and_a_field_of_its_manifest(
+    tmp_path: Path, monkeypatch: Patch, capsys: Capture
+) -> None:
+    """Known as ours by the manifest that lists it; a file of the user's is never replaced."""
+    folder, words = tmp_path / "set", "--nx 0 --count 1 --no-demonstrations --workers 1 --quiet"
+    assert typed("generate", *words.split(), "--out", folder) == 0  # of before the change
+    manifest, faults = read_manifest(folder)
+    assert "spent" not in manifest["report"] and faults == []
+
+    def gallery(path: Path, states: States) -> None:
+        write_gallery(path, states)
+        path.with_name("notes.txt").write_text("how the rope lies")
+
+    class Report(manifests._Report):
+        spent: int = 0
+
+    class Manifest(manifests._Manifest):
+        report: Report = Report()
+
+    write_gallery, finish = cards.write_gallery, cards.finish
+    monkeypatch.setattr(cards, "write_gallery", gallery)
+    monkeypatch.setattr(manifests, "_Manifest", Manifest)
+    monkeypatch.setattr(
+        "knotgym.generate.state_recipe.finish",
+        lambda place, report, *given: finish(place, {**report, "spent": 7}, *given),
+    )
+    assert read_manifest(folder)[0]["report"]["spent"] == 0 and knotgym.verify(folder) == []
+    again = ("generate", *words.split(), "--out", folder, "--overwrite")
+    for _ in range(2):  # what it replaces has the file, too
+        assert typed(*again) == 0 and (folder / "notes.txt").is_file()
+    assert read_manifest(folder)[0]["report"]["spent"] == 7 and knotgym.verify(folder) == []
+    (folder / "mine.txt").touch()
+    assert typed(*again) == 2 and "because mine.txt in it isn't" in capsys.readouterr().err
+    (folder / "notes.txt").unlink()
+    assert any("notes.txt is missing" in fault for fault in knotgym.verify(folder))

@@ -271,7 +271,7 @@ class SuiteConfig:
         self, own: Mapping[str, Any], task: str, nx: int, split: str, states: str, name: str
     ) -> CollectConfig:
         policy, tiered = PolicyConfig(policy=own.get("acting", {}).get(name, name)), states == BENCH
-        tier = self.size or next(iter(SIZES))
+        tier = self.size or own.get("size", "")
         settings = own["settings"].get(task, {}) | own["settings"].get(name, {})
         setup = TaskConfig(
             task=task,
@@ -294,4 +294,4 @@ class SuiteConfig:
             return replace(one, episodes=self.episodes.get(name, size))
         if self.episodes:
             raise InvalidInput(f"sets on {BENCH} states have a --size, not a number of --episodes")
-        return replace(one, steps=SIZES[tier], form=own["forms"][tier])
+        return replace(one, **SIZES[tier])
