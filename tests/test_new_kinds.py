@@ -1,7 +1,6 @@
 """A stranger adds a record to a table: it is right everywhere, or refused where it can't be."""
 
 from dataclasses import fields, replace
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,27 +9,21 @@ import numpy as np
 import pytest
 from minari import MinariDataset
 from pydantic import PositiveInt
-from pytest_types import Capture, Patch
-from rich.console import Console
+from pytest_types import Patch
 from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.adapters import goal_env
 from knotgym.common import InvalidInput, Mark, configuration
 from knotgym.control import PolicyConfig
-from knotgym.datasets import cards, merge, open_episodes
-from knotgym.datasets import manifest as manifests
-from knotgym.datasets.manifest import read_manifest
+from knotgym.datasets import open_episodes
 from knotgym.envs import OBSERVATIONS, EpisodeBatch, TaskConfig
-from knotgym.generate import CollectConfig, EvaluateConfig, collect, compare, evaluate
+from knotgym.generate import CollectConfig, collect
 from knotgym.loaders import Transitions, Window, arrays, multiplied
 from knotgym.quality import Limits, Quality
-from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, Rope, engines, simulation
-from knotgym.rope.chain import chain_simulation
+from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, simulation
 from knotgym.runs import RunOptions
 from knotgym.states import SPLITS, States, read_states, shipped, write_states
-
-from .small_job import knotgym as typed
 
 ALONE = RunOptions(workers=1, quiet=True)
 TASK = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=5)
@@ -66,41 +59,6 @@ def test_an_engine(tmp_path: Path, monkeypatch: Patch) -> None:
     steps, hard = (open_episodes(one).episodes.steps for one in (made, collected(tmp_path)))
     assert steps["action"].shape == hard["action"].shape
     assert not np.array_equal(steps["observation"], hard["observation"])
-
-
-def test_another_contact_stiffness(tmp_path: Path, monkeypatch: Patch) -> None:
-    """What other physics made is refused by name: merged, compared, verified."""
-    config = EvaluateConfig(
-        task=TASK, nx=(1,), policies=(PolicyConfig(policy="random"),), episodes=2
-    )
-    paths = [tmp_path / name for name in ("old", "new", "old.json", "new.json")]
-    made = [collected(paths[0])]
-    evaluate(config, ALONE, out=paths[2])
-    physics = chain_simulation._physics_of
-
-    def stiff(rope: Rope) -> Any:
-        own = physics(rope)
-        return own._replace(contact_stiffness=8 * own.contact_stiffness)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(chain_simulation, "_physics_of", stiff)
-        patch.setattr(engines, "_shared", {})
-        patch.setattr(engines, "_fixed_run", cache(engines._fixed_run.__wrapped__))
-        made.append(collected(paths[1]))
-        evaluate(config, ALONE, out=paths[3])
-        (fault,) = knotgym.verify(made[0])
-    assert "made with an engine that does otherwise" in fault
-    with pytest.raises(InvalidInput, match="that do otherwise made these datasets: .*old.*new"):
-        merge([str(one) for one in made], tmp_path / "both.h5")
-    with pytest.raises(InvalidInput, match="that do otherwise played these results: .*new.json"):
-        compare(paths[2:], Console())
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_an_engine_s_digest_is_the_same_on_all_processors(engine: str) -> None:
-    """They differ by 1e-12 m at most, and no coordinate is as near to where rounding turns."""
-    place = 1e6 * engines._fixed_run(ENGINES[engine].simulation)
-    assert np.abs(place - np.floor(place) - 0.5).min() > 1e-4
 
 
 def rope_alone(frames: Any, ropes: Any, goals: Any) -> np.ndarray:
@@ -304,40 +262,3 @@ def test_a_stride_of_windows(monkeypatch: Patch) -> None:
     again = Transitions(TINY["random"], **opening).batch(rows)
     for name, own in held.items():
         np.testing.assert_array_equal(again[name], own)
-
-
-def test_a_file_of_a_states_folder_and_a_field_of_its_manifest(
-    tmp_path: Path, monkeypatch: Patch, capsys: Capture
-) -> None:
-    """Known as ours by the manifest that lists it; a file of the user's is never replaced."""
-    folder, words = tmp_path / "set", "--nx 0 --count 1 --no-demonstrations --workers 1 --quiet"
-    assert typed("generate", *words.split(), "--out", folder) == 0  # of before the change
-    manifest, faults = read_manifest(folder)
-    assert "spent" not in manifest["report"] and faults == []
-
-    def gallery(path: Path, states: States) -> None:
-        write_gallery(path, states)
-        path.with_name("notes.txt").write_text("how the rope lies")
-
-    class Report(manifests._Report):
-        spent: int = 0
-
-    class Manifest(manifests._Manifest):
-        report: Report = Report()
-
-    write_gallery, finish = cards.write_gallery, cards.finish
-    monkeypatch.setattr(cards, "write_gallery", gallery)
-    monkeypatch.setattr(manifests, "_Manifest", Manifest)
-    monkeypatch.setattr(
-        "knotgym.generate.state_recipe.finish",
-        lambda place, report, *given: finish(place, {**report, "spent": 7}, *given),
-    )
-    assert read_manifest(folder)[0]["report"]["spent"] == 0 and knotgym.verify(folder) == []
-    again = ("generate", *words.split(), "--out", folder, "--overwrite")
-    for _ in range(2):  # what it replaces has the file, too
-        assert typed(*again) == 0 and (folder / "notes.txt").is_file()
-    assert read_manifest(folder)[0]["report"]["spent"] == 7 and knotgym.verify(folder) == []
-    (folder / "mine.txt").touch()
-    assert typed(*again) == 2 and "because mine.txt in it isn't" in capsys.readouterr().err
-    (folder / "notes.txt").unlink()
-    assert any("notes.txt is missing" in fault for fault in knotgym.verify(folder))

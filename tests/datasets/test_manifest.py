@@ -8,11 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pytest_types import Capture, Patch
 
+import knotgym
 from knotgym.common import InvalidFile, read_json
 from knotgym.control import dataset_faults
+from knotgym.datasets import cards
+from knotgym.datasets import manifest as manifests
 from knotgym.datasets.episode_verification import ReplayFault
 from knotgym.datasets.manifest import listed_faults, machine, read_manifest
+from knotgym.states import States
+
+from ..small_job import knotgym as typed
 
 SOUND: dict[str, Any] = {
     "config": {"seed": 0},
@@ -103,3 +110,40 @@ def test_only_replays_that_differ_may_be_another_machines_rounding(
     told = list(dataset_faults(tmp_path))[1:]
     assert len(told) == isinstance(faults[0], ReplayFault)
     assert all("other machines" in o for o in told)
+
+
+def test_a_file_of_a_states_folder_and_a_field_of_its_manifest(
+    tmp_path: Path, monkeypatch: Patch, capsys: Capture
+) -> None:
+    """Known as ours by the manifest that lists it; a file of the user's is never replaced."""
+    folder, words = tmp_path / "set", "--nx 0 --count 1 --no-demonstrations --workers 1 --quiet"
+    assert typed("generate", *words.split(), "--out", folder) == 0  # of before the change
+    manifest, faults = read_manifest(folder)
+    assert "spent" not in manifest["report"] and faults == []
+
+    def gallery(path: Path, states: States) -> None:
+        write_gallery(path, states)
+        path.with_name("notes.txt").write_text("how the rope lies")
+
+    class Report(manifests._Report):
+        spent: int = 0
+
+    class Manifest(manifests._Manifest):
+        report: Report = Report()
+
+    write_gallery, finish = cards.write_gallery, cards.finish
+    monkeypatch.setattr(cards, "write_gallery", gallery)
+    monkeypatch.setattr(manifests, "_Manifest", Manifest)
+    monkeypatch.setattr(
+        "knotgym.generate.state_recipe.finish",
+        lambda place, report, *given: finish(place, {**report, "spent": 7}, *given),
+    )
+    assert read_manifest(folder)[0]["report"]["spent"] == 0 and knotgym.verify(folder) == []
+    again = ("generate", *words.split(), "--out", folder, "--overwrite")
+    for _ in range(2):  # what it replaces has the file, too
+        assert typed(*again) == 0 and (folder / "notes.txt").is_file()
+    assert read_manifest(folder)[0]["report"]["spent"] == 7 and knotgym.verify(folder) == []
+    (folder / "mine.txt").touch()
+    assert typed(*again) == 2 and "because mine.txt in it isn't" in capsys.readouterr().err
+    (folder / "notes.txt").unlink()
+    assert any("notes.txt is missing" in fault for fault in knotgym.verify(folder))
