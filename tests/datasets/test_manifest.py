@@ -16,6 +16,7 @@ from knotgym.control import dataset_faults
 from knotgym.datasets import cards
 from knotgym.datasets import manifest as manifests
 from knotgym.datasets.episode_verification import ReplayFault
+from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.manifest import listed_faults, machine, read_manifest
 from knotgym.states import States
 
@@ -131,7 +132,7 @@ def test_a_file_of_a_states_folder_and_a_field_of_its_manifest(
     class Manifest(manifests._Manifest):
         report: Report = Report()
 
-    write_gallery, finish = cards.write_gallery, cards.finish
+    finish = cards.finish
     monkeypatch.setattr(cards, "write_gallery", gallery)
     monkeypatch.setattr(manifests, "_Manifest", Manifest)
     monkeypatch.setattr(
