@@ -23,7 +23,7 @@ Policies = Annotated[
 
 @command(
     {"": EvaluateConfig, "policy": PolicyConfig},
-    f"tasks=--task nx splits=--split episodes protocol task.states task.engine {RUN}",
+    f"tasks=--task nx splits=--split episodes protocol task.states task.engine failures {RUN}",
     lines=False,
 )
 def evaluate(
@@ -49,8 +49,8 @@ def evaluate(
 
     Args:
         out: JSON file to write.
-        video: Film of the first episodes of each setup: .gif, or with the extra video .mp4 or
-            .webm.
+        video: Film of the first episodes of each setup, or with --failures of the first that
+            failed: .gif, or with the extra video .mp4 or .webm.
         record: Entry to write: every pull, so that `knotgym dataset verify` replays the score.
     """
 

@@ -132,6 +132,10 @@ def show_episodes(source: Any) -> dict[str, Any]:
     """Summarize a file of episodes or a Minari dataset; every value can be written as JSON."""
     dataset = open_episodes(source)
     own, size = dataset.episodes.episodes, dataset.path.stat().st_size
+    goals = gauss_codes(own["goal_visits"])
+    policies = own["policy"] if len(set(own["policy"].tolist())) > 1 else np.full(own.rows, "")
+    by_policy = [f"{name} {goal}".strip() for name, goal in zip(policies, goals, strict=True)]
+    missed = [] if dataset.task.endless else dataset.episodes.missed(by_policy, own["success"])
     return {
         "path": str(dataset.path),
         "dataset_id": (dataset.metadata or {}).get("dataset_id"),
@@ -146,7 +150,8 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "simulation_failures": int(own["diverged"].sum()),
         "policies": _counted(own["policy"]),
         "distinct": dataset.episodes.distinct(),
-        "goals": _counted(gauss_codes(own["goal_visits"])),
+        "goals": _counted(goals),
+        "missed goals": {goal: f"{n} of {of}" for goal, (n, of) in missed} or None,
         "bytes": size,
         "bytes_per_step": size / max(1, int(own["length"].sum())),
         "rope": dataset.attributes.get("rope"),

@@ -22,6 +22,7 @@ set needs, so a code of any number of crossings fits; sets of different widths a
 
 import hashlib
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from itertools import pairwise
@@ -334,6 +335,17 @@ class Episodes(NamedTuple):
             f"episode {called[row]}{f', step {step}' * (step >= 0)}: {name} differs"
             for row, step, name in self.differing(other)
         ]
+
+    @staticmethod
+    def missed(goals: ArrayLike, success: ArrayLike) -> list[tuple[Any, tuple[int, int]]]:
+        """Count the failed episodes and all of each goal, the most missed first.
+
+        >>> Episodes.missed(["1+,1-", "1+,1-", "1-,1+"], [True, False, True])
+        [('1+,1-', (1, 2))]
+        """
+        every, failed = Counter(np.asarray(goals).tolist()), ~np.asarray(success, bool)
+        missed = Counter(np.asarray(goals)[failed].tolist()).most_common()
+        return [(goal, (count, every[goal])) for goal, count in missed]
 
     def differing(self, other: "Episodes") -> list[tuple[int, int, str]]:
         """Return the row, step and column of each of the `differences`; step -1 of an episode's."""

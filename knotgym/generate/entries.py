@@ -63,7 +63,9 @@ class Entry(NamedTuple):
             results.append(result)
             yield from faults
         if not progress.quiet:
-            show(results, progress.console, self.config.task.engine, self.config.protocol)
+            tasks = [task for _, task in self.config.setups()]
+            shown = self.config.task.engine, self.config.protocol, tasks
+            show(results, progress.console, *shown)
         for number, claimed in enumerate(self.claimed, 1):
             progress.say(common.one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
 

@@ -121,6 +121,7 @@ class EvaluateConfig:
         seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
         task: settings shared by all environments; its task, nx and split are not used.
         filmed: episodes per setup in a film.
+        failures: film the first episodes that failed, not the first of all.
         protocol: protocol of the board, which sets what isn't given: code (policies see the goal's
             code alone), goal-state (vertices that show it) or pixels. A setting that differs from
             it is refused.
@@ -134,6 +135,7 @@ class EvaluateConfig:
     seed: Seed = 0
     task: TaskConfig = TaskConfig(task="tie", observation="state")
     filmed: Count = 2
+    failures: bool = False
     protocol: Annotated[str, choice("", *PROTOCOLS)] = ""
 
     def __post_init__(self) -> None:

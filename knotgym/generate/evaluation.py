@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from knotgym import rendering, runs
 from knotgym.common import (
+    Failed,
     InvalidInput,
     Occupied,
     Stream,
@@ -45,7 +46,7 @@ _TRAINING = (
 
 
 def _play(
-    policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whole: bool
+    policy: PolicyConfig, task: TaskConfig, numbers: Sequence[int], seed: int, whole: bool
 ) -> runs.Result:
     """Play a block of episodes.
 
@@ -72,17 +73,31 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> runs.Rec
         for few in own:
             name = f"episodes of setup {setup}{mark} {few.start}-{few.stop - 1}"
             calls.append(runs.Call(name, _play, (*one, few, config.seed, recorded), len(few)))
-    for setup, one in enumerate(setups, 1) if filmed else ():
-        arguments = *one, range(filmed), config.seed, True
-        calls.append(runs.Call(f"film {setup}", _play, arguments, filmed))
+    films = [] if config.failures else [range(filmed)] * (filmed and len(setups))
+    calls += _films(setups, films, config.seed)
     rest = map(Episodes.of, (yield calls))
     played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
+    if filmed and config.failures:
+        missed = [np.flatnonzero(~one.episodes["success"])[:filmed].tolist() for one in played]
+        if not any(missed):
+            raise Failed("every episode reached its goal, so there is no failure to film")
+        rest = map(Episodes.of, (yield _films(setups, missed, config.seed)))
     actions = [make_policy(policy).compatible_task(task).action for policy, task in setups]
     results = [
         Result.of(policy.policy, action, task, one.episodes)
         for (policy, task), action, one in zip(setups, actions, played, strict=True)
     ]
     return results, played, [*rest]
+
+
+def _films(
+    setups: Sequence[tuple[PolicyConfig, TaskConfig]], films: Sequence[Sequence[int]], seed: int
+) -> list[runs.Call]:
+    """Return the calls that play the episodes of each setup that are filmed, by their numbers."""
+    return [
+        runs.Call(f"film {setup} {[*few]}", _play, (*one, few, seed, True), len(few))
+        for setup, (one, few) in enumerate(zip(setups, films, strict=False), 1)
+    ]
 
 
 def _require_playable(config: EvaluateConfig) -> None:
@@ -174,7 +189,8 @@ def evaluate(
             return []
         results = results or _finished(out, beside)
     if is_shown:
-        show(results, progress.console, config.task.engine, config.protocol)
+        tasks = [task for _, task in config.setups()]
+        show(results, progress.console, config.task.engine, config.protocol, tasks)
     if films:
         count = sum(one.episodes.rows for one in films)
         progress.say(f"{video}: {count} episodes")

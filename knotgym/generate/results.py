@@ -23,6 +23,7 @@ from knotgym.common import (
     from_json,
     read_json,
 )
+from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.rope import ENGINES, MUJOCO
 from knotgym.runs import cluster_interval, narrow_table
@@ -30,6 +31,7 @@ from knotgym.states import SPLITS
 
 Columns = Mapping[str, NDArray[Any]]
 _SETUP = ("policy", "task", "split", "nx")  # columns
+_WORST = 4  # goals that are listed of a setup
 _OUTCOMES = ("start", "goal", "success", "steps")
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
@@ -146,7 +148,11 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
 
 
 def show(
-    results: Sequence[Result], console: Console, engine: str = MUJOCO, protocol: str = ""
+    results: Sequence[Result],
+    console: Console,
+    engine: str = MUJOCO,
+    protocol: str = "",
+    tasks: Sequence[TaskConfig] = (),
 ) -> None:
     """Print a row per setup, and a matrix if there are several nx, in at most 80 columns.
 
@@ -155,6 +161,7 @@ def show(
         console: where to print.
         engine: that the episodes were played with; named if it isn't the reference.
         protocol: of the evaluation.
+        tasks: of the results; with them the goals that failed most are listed.
     """
     say = partial(console.print, highlight=False)
     steps = ["steps"] * any(one.steps is not None for one in results)
@@ -172,6 +179,16 @@ def show(
         cells = f"{rates[0]} %", interval, *took[: len(steps)], f"{one.mean_return:.2f}"
         table.add_row(*setup, str(nx), *cells)
     console.print(table)
+    columns = *_SETUP, "goal", "failed", "of"
+    failed = narrow_table(columns, title="goals that failed most", left=(*_SETUP[:3], "goal"))
+    for one, asked in zip(results, tasks, strict=False):
+        goals = task_sides(asked)[0][1].states.gauss_code[[*one.outcomes["goal"]]]
+        for goal, (missed, count) in Episodes.missed(goals, one.outcomes["success"])[:_WORST]:
+            failed.add_row(
+                _acting(one), one.task, one.split, str(one.nx), goal, str(missed), str(count)
+            )
+    if failed.row_count:
+        console.print(failed)
     for one in results:
         if one.planned_actions:
             say(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from knotgym.rope.model import Rope, RopeConfig
 
 MUJOCO, CHAIN = "mujoco", "chain"
-COMPILING = "compiling, once, about 30 s"
+COMPILING = "compiling, once", 30.0  # and about how many seconds it takes
 _MICROMETRE = 1e-6  # metres
 
 
@@ -166,7 +166,7 @@ def is_compiled(engine: str) -> bool:
 def warn_of_compilation(engine: str) -> None:
     """Log that the first run has to wait for compilation: once for a process and its workers."""
     if engine not in _warned and not is_compiled(engine) and _is_first(engine):
-        _log.warning(COMPILING)
+        _log.warning("%s, about %.0f s", *COMPILING)
     _warned.add(engine)
 
 

@@ -279,7 +279,7 @@ def compile_first(
     """
     engines = [engine] if plan is None else [*dict.fromkeys([CHAIN, engine])]
     if not all(map(is_compiled, engines)):
-        progress.stage(COMPILING, silent=300)
+        progress.stage(COMPILING[0], lasts=COMPILING[1])
         pool = pool or InProcess()
         # longest first; what several need is in the cache when the second comes to it
         longest, *others = engines

@@ -66,6 +66,7 @@ class Progress:
         self._clock, self._began = clock, clock()
         self._done: Callable[[], int] | None = None  # how many items of the stage are done by now
         self._facts: Mapping[str, object] = _NONE
+        self._ends: float | None = None  # when the stage is over, about
         self._stage = threading.RLock()  # held while the stage is changed or read
         self._counted = False  # whether a count was printed
         self._told = self._began  # when anything was printed last
@@ -106,6 +107,9 @@ class Progress:
                 words = [f"{done} of {self._task.total:.0f}"]
                 words += [f"{fact} {value}" for fact, value in self._facts.items()]
                 self._bars.update(self._task.id, completed=done, facts="; ".join(words))
+            elif self._ends is not None:
+                left = max(1.0, self._ends - self._clock())
+                self._bars.update(self._task.id, facts=f"about {left:.0f} s left")
 
     def _line(self) -> str:
         """Return the stage, how far it is, and the time left."""
@@ -140,7 +144,7 @@ class Progress:
         done: Counts.Done = 0,
         total: int = 0,
         facts: Mapping[str, object] = _NONE,
-        silent: float = 0.0,
+        lasts: float = 0.0,
     ) -> None:
         """Set the current stage and how far it is; plain lines show stages until the first count.
 
@@ -149,14 +153,15 @@ class Progress:
             done, total: how many items are done, or what returns how many are done by now, and how
                 many there are; all take about as long.
             facts: other values to show, by name.
-            silent: seconds for which its name isn't printed again, as it says how long it takes.
+            lasts: about how many seconds the stage takes, which are counted down.
         """
         with self._stage:
             if name != self._task.description:
-                if self._lines and not self._counted:
-                    self._tell(name)
-                    self._told += silent
                 self._bars.reset(self._task.id, description=name, facts="")
+                self._ends = self._clock() + lasts if lasts else None
+                if self._lines and not self._counted:
+                    self._done = None
+                    self._tell(self._line())
             self._done = (done if callable(done) else lambda: done) if total else None
             self._facts = facts
             if not total:

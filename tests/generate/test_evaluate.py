@@ -1,6 +1,7 @@
 import contextlib
 import io
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -156,6 +157,30 @@ def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
     evaluate(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
     with Image.open(tmp_path / "film.gif") as reel:
         assert getattr(reel, "n_frames", 1) >= 3 and np.ptp(np.asarray(reel)) > 0
+
+
+def test_failures_are_listed_by_goal_and_filmed(tmp_path: Path, capsys: Any) -> None:
+    words = "--nx 1 --engine chain --policy random --episodes 12 --set task.horizon=12".split()
+    with contextlib.chdir(tmp_path):
+        films = ("--video", "f.gif", "--failures", "--record", "e.h5")
+        assert knotgym("evaluate", *words, *films, "--out", "r.json") == 0
+        said = capsys.readouterr().out
+        assert knotgym("dataset", "show", "e.h5") == 0
+        (result,) = json.loads(Path("r.json").read_text())["results"]
+        success, steps = (result["outcomes"][name] for name in ("success", "steps"))
+        missed = [k for k, reached in enumerate(success) if not reached]
+        assert 0 < len(missed) < 12
+        with Image.open("f.gif") as film:
+            assert getattr(film, "n_frames", 1) == sum(steps[k] + 1 for k in missed[:2])
+        listed = re.findall(
+            r"(\S+) +(\d+) +(\d+) *$", said.split("goals that failed most")[1], re.M
+        )
+        assert sum(int(count) for _, count, _ in listed) == len(missed)
+        shown = " ".join(capsys.readouterr().out.split())
+        assert f"missed goals {listed[0][0]} {listed[0][1]} of {listed[0][2]}" in shown
+        easy = " ".join(words).replace("random", "expert").replace("=12", "=50").split()
+        assert knotgym("evaluate", *easy, "--video", "g.gif", "--failures") == 1
+        assert "no failure to film" in capsys.readouterr().err and not Path("g.gif").exists()
 
 
 def test_the_command_prints_the_matrix(capsys: pytest.CaptureFixture[str]) -> None:

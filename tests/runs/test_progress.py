@@ -43,7 +43,10 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -
     with Progress(console=Console(file=written, width=200)) as progress:
         compile_first(progress)
     lines = [line[9:] for line in written.getvalue().splitlines()]
-    assert lines == ["compiling, once, about 30 s", "starting"]
+    assert lines[0] == "compiling, once: about 30 s left" and lines[-1] == "starting"
+    # counted down
+    assert {*lines[1:-1]} <= {f"compiling, once: about {left} s left" for left in range(10, 31)}
+    assert len(lines) > 2
 
 
 def test_a_first_environment_says_once_that_it_compiles(
