@@ -1,6 +1,6 @@
 """Train one of eight offline learners in torch, on decisions.
 
-    python examples/learners/offline_torch.py IQL knotgym/tie-nx2/noisy-bench-v0 --out iql.pt
+    python examples/learners/offline_torch.py IQL knotgym/tie-nx2/varied-bench-v0 --out iql.pt
 
 Writes iql.pt and iql.py, a policy: `knotgym evaluate --policy iql:act`, in the same folder. All
 have the same networks, optimizer and batches, so what they differ in is their loss:

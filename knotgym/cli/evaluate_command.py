@@ -83,7 +83,6 @@ def compare(given: Given, files: Files = None, /) -> None:
     if not files:
         raise InvalidInput("name files of `knotgym evaluate --record` or --out")
     runs.compile_first(given.progress)
-    given.progress.stage("replaying entries")
     generate.compare(files, given.progress.console)
 
 

@@ -7,6 +7,7 @@ matching        pulls the bead farthest from its place in the goal's shape; need
 expert          plans passes; does the same thing in the same state
 noisy           the expert, but each pull is a random one with probability `noise`, after which it
                 looks again; half of the episodes begin with a random pass
+varied          noisy without the random pulls: half of the episodes begin with a random pass
 play            the expert, to another goal whenever one is reached; for endless tasks
 planner         plans pulls in the chain engine from the rope's current state
 mixed           draws one of random, scripted, noisy and expert for each episode
@@ -175,6 +176,7 @@ for _row in (
     ),
     _planned("expert", PassPlayer),
     _planned("noisy", _later("planning.pass_policies:NoisyPlayer")),
+    _planned("varied", _later("planning.pass_policies:NoisyPlayer.varied")),
     _planned("play", _later("planning.pass_policies:PlayPlayer"), _endless),
     _planned("planner", lambda config, batch: PullPlayer(config.planner, batch)),
     _planned("mixed", _later("planning.pass_policies:MixedPlayer")),

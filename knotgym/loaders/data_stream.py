@@ -19,7 +19,9 @@ the passes that they have begun into memory that all copies share, from which th
 from __future__ import annotations
 
 import dataclasses
+import logging
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -31,6 +33,9 @@ from knotgym.datasets import EpisodeDataset, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.loaders.pictures import Pictures
 from knotgym.loaders.transitions import Opening, Transitions
+
+_SILENT = 2.0  # seconds after which a stream says what its first batch waits for
+_log = logging.getLogger(__name__)
 
 
 class Played(Protocol):
@@ -114,7 +119,16 @@ class DataStream:
     def _block(self, number: int) -> Transitions | Pictures:
         if number in self._held:
             return self._held[number]
-        made = self._pictures(number) if self._pictured else self._transitions(number)
+        what = "pictures" if self._pictured else "episodes"
+        said = "a stream makes its first block, %d %s, before it gives a batch"
+        waits = threading.Timer(_SILENT, _log.warning, (said, self._size, what))
+        waits.daemon = True
+        if not self._held:
+            waits.start()
+        try:
+            made = self._pictures(number) if self._pictured else self._transitions(number)
+        finally:
+            waits.cancel()
         # those of an earlier turn won't come again
         first = number - number % self._shuffled
         self._held = {old: rows for old, rows in self._held.items() if old >= first}

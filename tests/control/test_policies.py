@@ -199,6 +199,14 @@ def test_arrays_that_user_code_shares_or_changes_change_no_episode(name: str) ->
         assert many.select(range(count)).differences(few) == []
 
 
+def test_varied_is_noisy_without_noise() -> None:
+    task = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=12)
+    plain = {"policy": "noisy", "noise": 0.0}, {"policy": "varied", "noise": 0.5}
+    made = [rollouts(make_policy(PolicyConfig(**one)), task, [0, 1, 2, 3]) for one in plain]
+    assert made[0].digests() == made[1].digests()
+    assert set(made[1].episodes["policy"].tolist()) == {"varied"}
+
+
 @pytest.mark.parametrize("name", ["random", "scripted", "noisy", "own:informed"])
 def test_another_attempt_draws_other_pulls_from_the_same_starts(name: str) -> None:
     policy = make_policy(PolicyConfig(policy=name))

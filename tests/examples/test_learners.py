@@ -19,7 +19,7 @@ from ..small_job import knotgym
 
 FOLDER = ROOT / "examples" / "learners"
 PAGE = (ROOT / "docs/recipes.md").read_text(encoding="utf-8")
-ID = "knotgym/tie-nx2/noisy-bench-v0"
+ID = "knotgym/tie-nx2/varied-bench-v0"
 pytestmark = pytest.mark.clients
 
 

@@ -60,6 +60,10 @@ def test_the_command_draws_each_difference(made: Made, capsys: Capture, tmp_path
     assert "random, b" in said and "random, compared" in said
     assert knotgym("compare", other) == 2 and "no two results" in capsys.readouterr().err
     assert knotgym("compare") == 2 and knotgym("compare", tmp_path / "none.h5") == 2
+    (tmp_path / "empty").touch()
+    capsys.readouterr()
+    assert knotgym("compare", tmp_path / "empty") == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,25 @@ def test_pictures_are_those_of_the_train_split() -> None:
     assert set(first) == names
 
 
+def test_a_stream_says_what_its_first_batch_waits_for(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played = DataStream._transitions
+
+    def slow(data: DataStream, number: int) -> Transitions:
+        time.sleep(0.5)
+        return played(data, number)
+
+    monkeypatch.setattr(DataStream, "_transitions", slow)
+    for seconds, count in ((60.0, 0), (0.1, 1)):
+        monkeypatch.setattr("knotgym.loaders.data_stream._SILENT", seconds)
+        assert [*islice(made(shuffled=1), 3)]
+        said = [one.getMessage() for one in caplog.records]
+        assert (
+            said == ["a stream makes its first block, 4 episodes, before it gives a batch"] * count
+        )
+
+
 def test_a_stream_goes_on_where_another_was() -> None:
     whole = [*islice(made(), 4)]
     first = made()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,11 @@ class NoisyPlayer(Player):
         self._drawn = np.full(batch.count, -1)  # the step of which it was drawn whether it is noisy
         self._noisy, self._in_prefix = np.zeros((2, batch.count), bool)
         self.planned = self._inner.planned
+
+    @classmethod
+    def varied(cls, config: PolicyConfig, batch: EpisodeBatch) -> "NoisyPlayer":
+        """Make a player without random pulls: `varied`."""
+        return cls(replace(config, noise=0.0), batch)
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         own, inner = zip(*(rng.spawn(2) for rng in rngs), strict=True)
