@@ -201,8 +201,8 @@ def test_arrays_that_user_code_shares_or_changes_change_no_episode(name: str) ->
 
 def test_varied_is_noisy_without_noise() -> None:
     task = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=12)
-    plain = {"policy": "noisy", "noise": 0.0}, {"policy": "varied", "noise": 0.5}
-    made = [rollouts(make_policy(PolicyConfig(**one)), task, [0, 1, 2, 3]) for one in plain]
+    both = PolicyConfig(policy="noisy", noise=0.0), PolicyConfig(policy="varied", noise=0.5)
+    made = [rollouts(make_policy(one), task, [0, 1, 2, 3]) for one in both]
     assert made[0].digests() == made[1].digests()
     assert set(made[1].episodes["policy"].tolist()) == {"varied"}
 

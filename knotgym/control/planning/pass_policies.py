@@ -60,7 +60,7 @@ class NoisyPlayer(Player):
         self.planned = self._inner.planned
 
     @classmethod
-    def varied(cls, config: PolicyConfig, batch: EpisodeBatch) -> "NoisyPlayer":
+    def varied(cls, config: PolicyConfig, batch: EpisodeBatch) -> NoisyPlayer:
         """Make a player without random pulls: `varied`."""
         return cls(replace(config, noise=0.0), batch)
 
