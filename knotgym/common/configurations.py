@@ -106,6 +106,7 @@ _WORDS = {  # pydantic's words, and ours
     "a valid tuple": "a list",
     "a valid array": "a list",
 }
+_PLAIN = {bool, int, float, str, type(None)}
 _SHOWN = 80  # characters of a refused value that a message repeats
 
 
@@ -116,6 +117,8 @@ def python_values(value: Any, lists: type = list) -> Any:
         value: a value, or dicts, lists and tuples of values.
         lists: what becomes of lists.
     """
+    if type(value) in _PLAIN:
+        return value
     if isinstance(value, np.longdouble):
         return float(value)  # `item` returns it as it is
     if isinstance(value, (np.generic, np.ndarray)):

@@ -13,7 +13,7 @@ import struct
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,6 +35,7 @@ from knotgym.common import (
 from knotgym.quality import Limits, Quality, grade_of
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
 from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest
+from knotgym.topology import GaussCode
 
 FORMAT = "knotgym-images"
 VERSION = 2  # 2: ropes are drawn by distance
@@ -124,17 +125,20 @@ class PictureRow(NamedTuple):
 
 def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
     """Render rows as a pyarrow.Table."""
-    return _table_of([_record(row, config) for row in rows])
+    drawer, ropes = Drawer.of(config.name), RopeAtRest.measured(np.array([r.points for r in rows]))
+    return _table_of([_record(*one, drawer, config) for one in zip(rows, ropes, strict=True)])
 
 
-def _record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
+def _record(
+    row: PictureRow, rope: RopeAtRest, drawer: Drawer, config: AppearanceConfig
+) -> dict[str, Any]:
     """Return all columns of a row by name, `image` as PNG bytes."""
     source = row.source
     rng = Stream.IMAGE_APPEARANCE.generator(source["seed"], source["row"])
-    drawn = Drawer.of(config.name).sampled(row.points, config, rng, row.camera)
+    drawn = drawer.sampled(row.points, config, rng, row.camera, rope.crossings)
     Counts.end_item()
     return {
-        **derived(RopeAtRest(row.points), drawn),
+        **derived(rope, drawn),
         "points": row.points.ravel().tolist(),
         "appearance": {name: getattr(drawn.look, name) for name in COLUMNS["appearance"]},
         "source": source,
@@ -153,14 +157,19 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     own = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
     grained = APPEARANCES[drawn.look.name].grained or drawn.look.noise > 0
     return {
-        **_CODES.derive(rope),
+        **_of_code(rope.code),
         "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],
         "accepted": not Limits().faults(rope.quality, crossings.nx),
         "grade": grade_of(rope.quality.ease()),
-        "quality": asdict(rope.quality),
+        "quality": dict(vars(rope.quality)),
         "image": encode(drawn.image, grained=grained),
         **own,
     }
+
+
+@lru_cache(maxsize=2**12)
+def _of_code(code: GaussCode) -> dict[str, Any]:
+    return _CODES.derive(RopeAtRest((), code=code))
 
 
 def parquet(rows: Any) -> bytes:

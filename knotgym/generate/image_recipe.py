@@ -341,10 +341,10 @@ class _Pictures:
                 new[:n] = old
             known = self._known = Spectra(*room)
         like = np.flatnonzero(np.linalg.norm(known.invariants[:n] - own.invariants, axis=1) < NEAR)
-        if (own.turned_distances(known.take(like)) < NEAR).any():
+        if len(like) and (own.turned_distances(known.take(like)) < NEAR).any():
             return False
         others = like[[self.chosen[row].split != split for row in like.tolist()]]
-        if (own.pair_distances(known.take(others)) < NEAR).any():
+        if len(others) and (own.pair_distances(known.take(others)) < NEAR).any():
             return False
         for column, new in zip(known, own, strict=True):
             column[n] = new[0]
@@ -457,7 +457,7 @@ def _frames_of(
         faults = config.limits.faults(quality, crossings.nx)
         if not faults and number % _CHECKED == 0 and pyknotid_code(points) != crossings.code:
             faults = ["labellers disagree"]
-        if not faults and not drawer.legible(points, min(look.sides)):
+        if not faults and not drawer.legible(points, min(look.sides), crossings):
             faults = ["illegible"]
         if faults:
             dropped[faults[0]] += 1

@@ -20,6 +20,7 @@ from knotgym.common import Array, InvalidInput, Stream
 from knotgym.photos.photo_look import DEFAULT, LIMITS, WIDTHS, Photo, Rng, drawn_look
 from knotgym.photos.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
 from knotgym.rendering import AppearanceConfig, Drawer, Drawn, checked_points
+from knotgym.topology import Crossings
 
 TILT = AppearanceConfig().tilt  # largest tilt of the camera, degrees
 _TRIES = 12  # cameras
@@ -38,13 +39,19 @@ class PhotoDrawer(Drawer):
     def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
         return take(points, look).image
 
-    def drawn(self, points: Array, look: Any) -> Drawn:
-        return take(points, look)
+    def drawn(self, points: Array, look: Any, crossings: Crossings | None = None) -> Drawn:
+        return _taken(PhotoRope(points, look.size, crossings), look)
 
     def sampled(
-        self, points: Array, config: AppearanceConfig, rng: Rng, camera: Camera = (0.0, 0.0)
+        self,
+        points: Array,
+        config: AppearanceConfig,
+        rng: Rng,
+        camera: Camera = (0.0, 0.0),
+        crossings: Crossings | None = None,
     ) -> Drawn:
-        rope = PhotoRope(points, config.sides[int(rng.integers(len(config.sides)))])
+        side = config.sides[int(rng.integers(len(config.sides)))]
+        rope = PhotoRope(points, side, crossings)
         marked = bool(rng.random() < config.marked)
         for attempt in range(_TRIES):
             # a crossing may hide the base from here; then, after half of the tries, there is no
@@ -63,9 +70,9 @@ class PhotoDrawer(Drawer):
         view.stamp(look.radius)
         return view.coloured(look, ground_of(look)[0], rng)
 
-    def legible(self, points: Array, size: int) -> bool:
+    def legible(self, points: Array, size: int, crossings: Crossings | None = None) -> bool:
         # most that are refused show too small a region, which is known before anything is painted
-        rope = PhotoRope(points, size)
+        rope = PhotoRope(points, size, crossings)
         look = _clearest(rope)
         view = PhotoView(rope, look)
         region = view.region(2 * look.radius)
@@ -103,10 +110,10 @@ def photograph(
 
 def _clearest(rope: PhotoRope, camera: Camera = (0.0, 0.0)) -> Photo:
     """Return the plainest look: a narrow white rope on a dark surface, as large as the picture."""
-    look = _framed(rope, camera, 0.0, 1.0, np.zeros(2))
+    bright = (235, 230, 220)
+    look = _framed(rope, camera, 0.0, 1.0, np.zeros(2), first=bright, last=bright)
     # as narrow as allowed, which leaves most background between strands
-    width = WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale)
-    return replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220))
+    return replace(look, width=WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale))
 
 
 def _drawn_camera(rng: Rng, tilt: float = TILT) -> Camera:
@@ -179,11 +186,14 @@ def _drawn(rope: PhotoRope, rng: Rng, camera: Camera, marked: bool | None) -> Sh
     return None
 
 
-def _framed(rope: PhotoRope, camera: Camera, turn: float, fill: float, place: Array) -> Photo:
+def _framed(
+    rope: PhotoRope, camera: Camera, turn: float, fill: float, place: Array, **more: Any
+) -> Photo:
     """Choose zoom and position: the rope fills a share of the picture's side, `place` of the rest.
 
     Args:
         fill: at most 1.
+        more: other fields of the appearance.
         place: (2,), right and down, from -1 to 1.
     """
     size, (tilt, heading) = rope.size, camera
@@ -195,4 +205,4 @@ def _framed(rope: PhotoRope, camera: Camera, turn: float, fill: float, place: Ar
     # a share of what is left free, and what brings the middle of the drawing to the picture's
     right, down = 0.5 * (room - zoom * (high - low)) * place - 0.5 * zoom * (low + high)
     frame: dict[str, Any] = {"zoom": zoom, "right": float(right), "down": float(down)}
-    return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame)
+    return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame, **more)

@@ -120,6 +120,7 @@ def shapes(
                     picture[row, column, c] = np.uint8(below + cover * (colours[k, c] - below))
 
 
+@kernel
 def layers(visits: Array, goes_over: Array, n: int) -> Array:
     """Return the flags of n pieces, uint8; see UNDER.
 
@@ -127,19 +128,25 @@ def layers(visits: Array, goes_over: Array, n: int) -> Array:
         visits: float64 (2 nx,), sorted places.
         goes_over: bool (2 nx,).
     """
-    if not len(visits):
-        return np.full(n, UNDER, np.uint8)
-    # the nearest visit, ahead or behind, round the closed curve
-    middle, m = np.arange(n) + 0.5, len(visits)
-    round_visits = np.concatenate([visits[-1:] - n, visits, visits[:1] + n])
-    ahead = np.searchsorted(visits, middle) + 1
-    nearer = round_visits[ahead] - middle < middle - round_visits[ahead - 1]
-    upper = goes_over[np.where(nearer, ahead - 1, ahead - 2) % m]
-    before, after = np.roll(upper, 1), np.roll(upper, -1)
-    # the lower layer goes on for two pieces below the upper one
-    inside = before & after & np.roll(upper, 2) & np.roll(upper, -2)
-    flags = OVER + UNDER * ~inside + FIRST * ~before + LAST * ~after
-    return np.where(upper, flags, UNDER).astype(np.uint8)
+    m, ahead, upper, flags = len(visits), 0, np.empty(n, np.bool_), np.empty(n, np.uint8)
+    for k in range(n):
+        # the nearest visit, ahead or behind, round the closed curve
+        middle = k + 0.5
+        while ahead < m and visits[ahead] < middle:
+            ahead += 1
+        upper[k] = False
+        if m:
+            last = visits[ahead - 1] if ahead else visits[m - 1] - n
+            coming = visits[ahead] if ahead < m else visits[0] + n
+            nearer = coming - middle < middle - last
+            upper[k] = goes_over[(ahead if nearer else ahead - 1) % m]
+    for k in range(n):
+        before, after = upper[k - 1], upper[(k + 1) % n]
+        # the lower layer goes on for two pieces below the upper one
+        inside = before and after and upper[k - 2] and upper[(k + 2) % n]
+        above = OVER + UNDER * (not inside) + FIRST * (not before) + LAST * (not after)
+        flags[k] = above if upper[k] else UNDER
+    return flags
 
 
 @kernel

@@ -79,11 +79,11 @@ class Shot(Drawn):
 class PhotoRope:
     """The smooth rope, centred, and its crossings; `parts` pieces for each bead."""
 
-    def __init__(self, points: Array, size: int) -> None:
+    def __init__(self, points: Array, size: int, crossings: Crossings | None = None) -> None:
         # a copy: the photo's answers hold it, and callers may change theirs
         self.points, self.size = np.array(points, dtype=np.float64), size
         self.parts = min(-(-size // 128), 3)
-        self.crossings = find_crossings(self.points)
+        self.crossings = crossings or find_crossings(self.points)
         flat = self.points - self.points.mean(axis=0)
         self.curve, self.shown = smooth_curve(flat, self.crossings.code, self.parts, _EASES)
 

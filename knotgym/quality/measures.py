@@ -23,9 +23,9 @@ from knotgym.rendering import PictureConfig
 from knotgym.rope import Rope
 from knotgym.topology import (
     CROSSING,
+    CodeArrays,
     Crossings,
     find_crossings,
-    label_many,
     strand_spacing,
     visited,
 )
@@ -126,8 +126,11 @@ def noise_survival(
         seed = int.from_bytes(hashlib.sha256(p.tobytes()).digest()[:7], "little")
         rng = Stream.NOISE_SURVIVAL.generator(seed)
     varied = Rope.noised(p, scale, [rng] * draws)
-    codes = label_many(np.concatenate([p, varied]))
-    return float(np.mean([code == codes[0] for code in codes[1:]]))
+    codes = CodeArrays.read(np.concatenate([p, varied]))
+    own = (codes.visits == codes.visits[0]).all(axis=1) & (codes.signs == codes.signs[0]).all(
+        axis=1
+    )
+    return float(own[1:].mean())
 
 
 @kernel

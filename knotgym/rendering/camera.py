@@ -17,6 +17,7 @@ published one, and beads be drawn where they are projected.
 """
 
 import math
+from functools import lru_cache
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -124,12 +125,13 @@ class PictureConfig:
         if self.depth and self.renderer == "mujoco":
             raise InvalidInput("depth needs renderer 'opencv' or 'auto'; 'mujoco' doesn't draw it")
 
-    @classmethod
-    def of(cls, beads: int, **settings: Any) -> "PictureConfig":
+    @staticmethod
+    @lru_cache(maxsize=64)
+    def of(beads: int, **settings: Any) -> "PictureConfig":
         """Return the usual picture of a rope of so many beads; of 200 it shows 1.32 m, not 0.66."""
         share = beads / USUAL_BEADS
         view, height = share * DEFAULT.view, share * DEFAULT.camera_height
-        return cls(view=view, camera_height=height, **settings)
+        return PictureConfig(view=view, camera_height=height, **settings)
 
     @property
     def fovy(self) -> float | None:

@@ -15,7 +15,8 @@ the published one, and crossings lie where it says.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from pkgutil import resolve_name
 from typing import Any, ClassVar
 
@@ -28,7 +29,7 @@ from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConf
 from knotgym.rendering.camera import RGB, PictureConfig, bead_colours, project
 from knotgym.rendering.diagram import draw_lines
 from knotgym.rendering.picture import draw
-from knotgym.topology import find_crossings
+from knotgym.topology import Crossings, find_crossings
 
 Rng = np.random.Generator
 Camera = tuple[float, float]  # tilt and heading, degrees
@@ -71,8 +72,7 @@ class Appearance:
 
     def picture(self) -> PictureConfig:
         """Return the picture configuration; the rope's colours are in `bead_colours`."""
-        shared = "size", "turn", "zoom", "width", "background"
-        return PictureConfig(**{name: getattr(self, name) for name in shared})
+        return _config(self.size, self.turn, self.zoom, self.width, self.background)
 
     def _bead_colours(self, beads: int) -> NDArray[np.uint8]:
         """Return the RGB of every bead, uint8 (beads, 3); the base bead is white."""
@@ -84,6 +84,11 @@ class Appearance:
         colours: NDArray[np.uint8] = np.rint(blend).astype(np.uint8)
         colours[0] = 255
         return colours
+
+
+@lru_cache(maxsize=256)
+def _config(size: int, turn: float, zoom: float, width: float, background: RGB) -> PictureConfig:
+    return PictureConfig(size=size, turn=turn, zoom=zoom, width=width, background=background)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +147,19 @@ class Drawer:
         colours = look._bead_colours(len(points))
         return _through_lens(draw(points, look.picture(), colours=colours), look)
 
-    def drawn(self, points: Array, look: Any) -> Drawn:
-        """Draw a picture of a table again from its appearance."""
-        over = find_crossings(points).over_points
+    def drawn(self, points: Array, look: Any, crossings: Crossings | None = None) -> Drawn:
+        """Draw a picture of a table again from its appearance; crossings if they are known."""
+        over = (crossings or find_crossings(points)).over_points
         pixels = project(over, look.picture(), points.mean(axis=0))
         return Drawn(self.image(points, look), look, pixels)
 
     def sampled(
-        self, points: Array, config: AppearanceConfig, rng: Rng, camera: Camera = (0.0, 0.0)
+        self,
+        points: Array,
+        config: AppearanceConfig,
+        rng: Rng,
+        camera: Camera = (0.0, 0.0),
+        crossings: Crossings | None = None,
     ) -> Drawn:
         """Draw a picture of a table with an appearance drawn at random.
 
@@ -158,8 +168,9 @@ class Drawer:
             config: distribution of the appearance.
             rng: source of all draws.
             camera: tilt and heading of the camera, degrees; 0 unless the appearance is tilted.
+            crossings: of the points, if they are known.
         """
-        return self.drawn(points, self._drawn_look(points, config, rng))
+        return self.drawn(points, self._drawn_look(points, config, rng), crossings)
 
     def _drawn_look(self, points: Array, config: AppearanceConfig, rng: Rng) -> Appearance:
         """Sample an appearance for a rope."""
@@ -172,10 +183,10 @@ class Drawer:
 
         turn = _varied("turn", -math.pi, math.pi)
         width, zoom = self._framed(points, size, turn, _varied("width", *config.width, 1.0))
-        # a rope larger than the range allows for is shown as large as fits
-        most = _largest_zoom(points, turn, width)
-        low, high = config.zoom
-        zoom = _varied("zoom", min(low, most), min(high, most), zoom)
+        if "zoom" in vary:
+            # a rope larger than the range allows for is shown as large as fits
+            most = _largest_zoom(points, turn, width)
+            zoom = _varied("zoom", *(min(one, most) for one in config.zoom))
         kind = self.colours
         if "colours" in vary:
             kind = ("published", "single", "gradient")[int(rng.integers(3))]
@@ -191,10 +202,20 @@ class Drawer:
         if kind == "published" or "colours" not in vary:
             first = plain.first
         noise, blur = _varied("noise", 0, config.noise), _varied("blur", 0, config.blur)
-        look = self.look(name=self.name, size=size, turn=turn, zoom=zoom, width=width, noise=noise)
-        look = replace(look, colours=kind, first=first, last=last, background=background)
-        seed = int(rng.integers(2**62)) if noise else plain.seed
-        return replace(look, blur=blur * size / plain.size, seed=seed)
+        return self.look(
+            name=self.name,
+            size=size,
+            turn=turn,
+            zoom=zoom,
+            width=width,
+            colours=kind,
+            first=first,
+            last=last,
+            background=background,
+            noise=noise,
+            blur=blur * size / plain.size,
+            seed=int(rng.integers(2**62)) if noise else plain.seed,
+        )
 
     def _framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
         """Return the factor on the rope's width, and the zoom where it doesn't vary."""
@@ -215,8 +236,8 @@ class Drawer:
             return None
         return self.look(name=self.name, size=size, colours=self.colours)
 
-    def legible(self, points: Array, size: int) -> bool:
-        """Return whether a picture of a table can show these points."""
+    def legible(self, points: Array, size: int, crossings: Crossings | None = None) -> bool:
+        """Return whether a picture of a table can show these points; crossings if known."""
         return True
 
     def read(self, row: Mapping[str, Any]) -> Appearance:

@@ -8,7 +8,7 @@ After a change run `pytest tests/rope/test_rope.py`: no reset may lose its code.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,48 +30,110 @@ _SMALLER_DRAWS = 20  # further draws, each at half the scale of the one before
 _GAP = 1e-6  # metres; what is closed at all is closed within 1e-12
 
 
-@kernel  # 0 / 0 is NaN instead of an exception
-def _close_loops(along: Array) -> None:
-    """Change the unit vectors of many chains (n, beads, 3) as little as possible, in place.
+@kernel
+def _close(along: Array) -> None:
+    """Change unit vectors (beads, 3) as little as possible, in place, so that their sum is zero.
 
-    Those of each chain then sum to zero, so that equal chords in these directions are closed. A
-    chain that no small change closes ends as anything, NaN included.
+    Equal chords in these directions are closed.
     """
     # The unit vectors u_i with sum 0 that minimize sum |u_i - a_i|^2 are the normalized a_i - s,
     # where s is the Lagrange multiplier of the constraint. Newton's method on s:
     #     f(s) = sum_i (a_i - s) / |a_i - s| = 0,
     # with the Jacobian df/ds = -sum_i (I - u_i u_i^T) / |a_i - s|, u_i the normalized vectors.
     # Sums run bead by bead, so that the result is the same on every machine.
-    beads = along.shape[1]
-    norm, unit, moved = np.empty(beads), np.empty((beads, 3)), np.empty((beads, 3))
-    m, total = np.empty((3, 4)), np.empty(3)  # m: the Jacobian, and the right side beside it
-    shift = np.empty(3)
-    for chain in range(len(along)):
-        shift[:] = 0.0
-        for _ in range(50):
-            total[:] = 0.0
-            m[:] = 0.0
-            for i in range(beads):
-                for c in range(3):
-                    moved[i, c] = along[chain, i, c] - shift[c]
-                x, y, z = moved[i, 0], moved[i, 1], moved[i, 2]
-                norm[i] = np.sqrt(x * x + y * y + z * z)
-                for c in range(3):
-                    unit[i, c] = moved[i, c] / norm[i]
-                    total[c] += unit[i, c]
-                for r in range(3):
-                    for c in range(3):
-                        one = 1.0 if r == c else 0.0
-                        m[r, c] += (one - unit[i, r] * unit[i, c]) / norm[i]
-            off = max(abs(total[0]), abs(total[1]), abs(total[2]))
-            if off < 1e-13 * beads:
-                break
-            for r in range(3):  # assigning a slice would take seconds to compile
-                m[r, 3] = total[r]
-            _add_solution(m, shift)
+    beads = len(along)
+    norm, unit = np.empty(beads), np.empty((beads, 3))
+    m, shift = np.empty((3, 4)), np.empty(3)  # m: the Jacobian, and the right side beside it
+    shift[:] = 0.0
+    for _ in range(50):
+        m[:] = 0.0
         for i in range(beads):
-            for c in range(3):
-                along[chain, i, c] = unit[i, c]
+            x, y, z = along[i, 0] - shift[0], along[i, 1] - shift[1], along[i, 2] - shift[2]
+            norm[i] = np.sqrt(x * x + y * y + z * z)
+            unit[i, 0], unit[i, 1], unit[i, 2] = x / norm[i], y / norm[i], z / norm[i]
+            for r in range(3):
+                m[r, 3] += unit[i, r]
+        if max(abs(m[0, 3]), abs(m[1, 3]), abs(m[2, 3])) < 1e-13 * beads:
+            break
+        for i in range(beads):
+            for r in range(3):
+                for c in range(r, 3):
+                    one = 1.0 if r == c else 0.0
+                    m[r, c] += (one - unit[i, r] * unit[i, c]) / norm[i]
+        m[1, 0], m[2, 0], m[2, 1] = m[0, 1], m[0, 2], m[1, 2]
+        _add_solution(m, shift)
+    for i in range(beads):
+        for c in range(3):
+            along[i, c] = unit[i, c]
+
+
+@kernel
+def _turns(drawn: Array) -> tuple[Array, Array]:
+    """Return the rotation vectors of the beads of n chains, (n, beads, 3), and their angles.
+
+    Args:
+        drawn: (n, beads + 2, 3), those of the joints, of the whole chain, and its shift.
+    """
+    n, beads = len(drawn), drawn.shape[1] - 2
+    turns, angles = np.empty((n, beads, 3)), np.empty((n, beads))
+    for chain in range(n):
+        own = turns[chain]
+        for c in range(3):
+            # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as
+            # if they commuted, which holds to first order in the small scale.
+            total = mean = 0.0
+            for i in range(beads):
+                own[i, c] = total = total + drawn[chain, i, c] if i else drawn[chain, i, c]
+            # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
+            for i in range(beads):
+                own[i, c] -= (i + 1) / beads * total
+                mean += own[i, c]
+            # the mean rotation is the whole rope's; only the one that is drawn for it is left
+            whole = drawn[chain, beads, c] - mean / beads
+            for i in range(beads):
+                own[i, c] += whole
+        for i in range(beads):
+            x, y, z = own[i]
+            angles[chain, i] = np.sqrt(x * x + y * y + z * z)
+    return turns, angles
+
+
+@kernel
+def _turned(points: Array, units: Array, lengths: Array, turned: Any, drawn: Array) -> Array:
+    """Turn the chords of n chains, close them, and move them: float64 (n, beads, 3), metres.
+
+    Args:
+        points: float64 (n, beads, 3) or (1, beads, 3), metres.
+        units: likewise, directions of the chords.
+        lengths: (n,) or (1,), of the new chords, metres.
+        turned: rotation vectors of the beads (n, beads, 3), which are overwritten, and their
+            angles (n, beads), with the cosines and sines of these.
+        drawn: (n, beads + 2, 3), see `_turns`.
+    """
+    turns, angles, cosines, sines = turned
+    beads, out = points.shape[1], np.empty(turns.shape)
+    for chain in range(len(turns)):
+        row = chain % len(units)
+        own, given, moved = turns[chain], units[row], out[chain]
+        for i in range(beads):  # Rodrigues' formula
+            size = max(angles[chain, i], 1e-100)
+            x, y, z = own[i, 0] / size, own[i, 1] / size, own[i, 2] / size
+            u, v, w = given[i, 0], given[i, 1], given[i, 2]
+            share, cosine, sine = x * u + y * v + z * w, cosines[chain, i], sines[chain, i]
+            a, b, c = x * share, y * share, z * share
+            own[i, 0] = a + (u - a) * cosine + (y * w - z * v) * sine
+            own[i, 1] = b + (v - b) * cosine + (z * u - x * w) * sine
+            own[i, 2] = c + (w - c) * cosine + (x * v - y * u) * sine
+        _close(own)
+        for c in range(3):
+            middle = mean = before = 0.0
+            for i in range(beads):
+                moved[i, c] = before * lengths[row]
+                before, mean = before + own[i, c], mean + moved[i, c]
+                middle += points[row, i, c]
+            for i in range(beads):
+                moved[i, c] = moved[i, c] - mean / beads + middle / beads + drawn[chain, -1, c]
+    return out
 
 
 @inner
@@ -118,7 +180,7 @@ def equal_chords(curve: Array, count: int) -> Array:
 
     The cuts move along the polyline until the chords are nearly equal; this fails only where the
     polyline doubles back within a chord. The chords are then scaled to length 1, and a correction
-    of their directions closes the chain (`_close_loops`).
+    of their directions closes the chain (`_close`).
 
     Returns:
         float64 (count, 3), centred.
@@ -138,7 +200,7 @@ def equal_chords(curve: Array, count: int) -> Array:
     chord = np.diff(points, axis=0)
     lengths = np.linalg.norm(chord, axis=1, keepdims=True)
     along = chord / np.maximum(lengths, np.finfo(float).tiny)
-    _close_loops(along[None])
+    _close(along)
     ends = np.cumsum(along, axis=0)
     return np.roll(ends, 1, axis=0) - ends.mean(axis=0)
 
@@ -326,7 +388,7 @@ def start_qpos(
         moved = noised(writable[left], reduced, [rngs[row] for row in left])
         # much noise may leave a rope that no small correction closes
         # The chords are equal and their directions sum to 0, so the closing chord has a bead's
-        # length unless Newton's method in `_close_loops` didn't converge.
+        # length unless Newton's method in `_close` didn't converge.
         gaps = np.linalg.norm(moved[:, 0] - moved[:, -1], axis=1) - rope.config.bead_length
         closed = np.abs(gaps) < _GAP
         moved[~closed] = writable[left][~closed]
@@ -346,7 +408,7 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     Each joint turns by a rotation vector drawn uniformly from [-scale, scale]^3 radians; their sum
     round the loop is subtracted evenly, so that the directions match where the loop closes. The
     whole rope turns by one more such vector and shifts by a vector from [-scale, scale]^3 metres.
-    The smallest correction of the bead directions then closes the rope (`_close_loops`).
+    The smallest correction of the bead directions then closes the rope (`_close`).
 
     Args:
         points: float64 (n, beads, 3), metres, or (1, beads, 3) for n times the same rope.
@@ -359,46 +421,13 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     beads = np.shape(points)[1]
     # one call draws the same numbers as one for the joints, one for the turn and one for the shift
     drawn = np.array([rng.uniform(-scale, scale, (beads + 2, 3)) for rng in rngs])
-    # x, y and z apart, (3, n, beads): NumPy is slow to sum over short axes
-    p, drawn = _apart(points), _apart(drawn)
-    joint, turn, shift = drawn[..., :beads], drawn[..., beads, None], drawn[..., beads + 1, None]
-    chord = np.roll(p, -1, axis=2) - p
-    lengths = _norm(chord)
-    # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as if they
-    # commuted, which holds to first order in the small scale.
-    turns = np.cumsum(joint, axis=2)
-    # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
-    turns -= (np.arange(beads) + 1) / beads * turns[..., -1:]
-    # The mean rotation is the whole rope's; take it out, so that `turn` alone decides it.
-    turns += turn - _mean(turns)
-    along = np.ascontiguousarray(_rotate(chord / lengths, turns).transpose(1, 2, 0))
-    _close_loops(along)
-    moved = np.zeros_like(turns)
-    np.cumsum(_apart(along)[..., :-1], axis=2, out=moved[..., 1:])
-    moved *= np.median(lengths, axis=1, keepdims=True)
-    return np.ascontiguousarray((moved - _mean(moved) + _mean(p) + shift).transpose(1, 2, 0))
-
-
-def _apart(points: ArrayLike) -> Array:
-    """Return x, y and z of points (n, m, 3) as a contiguous array (3, n, m)."""
-    return np.ascontiguousarray(np.asarray(points, dtype=np.float64).transpose(2, 0, 1))
-
-
-def _mean(values: Array) -> Array:
-    """Return the mean over the last axis, which is kept; summed one by one, as over any other."""
-    return np.cumsum(values, axis=-1)[..., -1:] / values.shape[-1]
-
-
-def _norm(vectors: Array) -> Array:
-    x, y, z = vectors
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
-
-
-def _rotate(vectors: Array, by: Array) -> Array:
-    """Rotate vectors (3, ...) by rotation vectors (3, ...), radians (Rodrigues' formula)."""
-    angle = _norm(by)
-    axis = by / np.maximum(angle, 1e-100)
-    (x, y, z), (u, v, w) = axis, vectors
-    along = axis * (x * u + y * v + z * w)
-    across = np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
-    return along + (vectors - along) * np.cos(angle) + across * np.sin(angle)
+    p = np.array(points, dtype=np.float64)
+    chord = np.roll(p, -1, axis=1) - p
+    lengths = np.sqrt(chord[..., 0] ** 2 + chord[..., 1] ** 2 + chord[..., 2] ** 2)
+    turns, angles = _turns(drawn)
+    # NumPy's sines are not those of C's library on every processor
+    turned = turns, angles, np.cos(angles), np.sin(angles)
+    ordered = np.sort(lengths, axis=1)
+    medians = (ordered[:, (beads - 1) // 2] + ordered[:, beads // 2]) / 2
+    moved: Array = _turned(p, chord / lengths[..., None], medians, turned, drawn)
+    return moved

@@ -54,6 +54,19 @@ class RopeAtRest:
         self.__dict__ |= {} if code is None else {"code": code}
         self.__dict__ |= {} if quality is None else {"quality": quality}
 
+    @classmethod
+    def measured(cls, points: NDArray[np.float64]) -> "list[RopeAtRest]":
+        """Look at many ropes, float64 (n, beads, 3), and measure them together."""
+        # here, so that reading states needs neither renderer nor compiled measures
+        from knotgym.quality import measure_all, noise_survival
+
+        ropes = [cls(one) for one in points]
+        qualities = measure_all(points, [rope.crossings for rope in ropes])
+        for rope, quality in zip(ropes, qualities, strict=True):
+            survival = noise_survival(rope.points)
+            rope.__dict__["quality"] = replace(quality, noise_survival=survival)
+        return ropes
+
     @cached_property
     def crossings(self) -> Crossings:
         """The crossings in the picture."""
@@ -67,11 +80,7 @@ class RopeAtRest:
     @cached_property
     def quality(self) -> Quality:
         """All measures."""
-        # here, so that reading states needs neither renderer nor compiled measures
-        from knotgym.quality import measure, noise_survival
-
-        measured = measure(self.points, self.crossings)
-        return replace(measured, noise_survival=noise_survival(self.points))
+        return self.measured(self.points[None])[0].quality
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:

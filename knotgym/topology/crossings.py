@@ -108,8 +108,9 @@ class Crossings:
         back = (-symmetries.base_shift) % beads
         beyond = len(places) - np.searchsorted(places, np.where(back == 0, beads, back), "right")
         passed = np.where(symmetries.reverse, beyond, np.searchsorted(places, start))
-        each = np.column_stack([symmetries.switch, symmetries.reverse, passed]).tolist()
-        return [_text_after(self.code.plain, *one) for one in each]
+        each = symmetries.switch, symmetries.reverse, passed % max(len(places), 1)
+        found: list[str] = _texts_after(self.code.plain)[tuple(map(np.int64, each))].tolist()
+        return found
 
     def strand_spacing(self, pixels: Array, walk: float) -> float:
         """Return the smallest distance in the picture, pixels, of vertices on different strands.
@@ -122,11 +123,14 @@ class Crossings:
         return float(strand_spacing(pixels, along, at, walk))
 
 
-@lru_cache(maxsize=2**14)
-def _text_after(code: GaussCode, switch: bool, reverse: bool, passed: int) -> str:
+@lru_cache(maxsize=2**12)
+def _texts_after(code: GaussCode) -> NDArray[np.object_]:
+    """Write a code after each symmetry: objects, by switch, reverse, and visits that are passed."""
     # a reflection changes letters alone
-    code = code.switched() if switch else code
-    return str((code.reversed() if reverse else code).rebased(passed))
+    sides = [[one, one.reversed()] for one in (code, code.switched())]
+    starts = range(max(len(code.visits), 1))
+    texts = [[[str(one.rebased(start)) for start in starts] for one in side] for side in sides]
+    return np.array(texts, dtype=object)
 
 
 def find_crossings(points: ArrayLike) -> Crossings:

@@ -15,7 +15,7 @@ from synthetic_pictures import picture_rows
 from knotgym.cli import main
 from knotgym.common import InvalidFile
 from knotgym.datasets import columns_of, locate, open_episodes, write_episodes
-from knotgym.datasets.image_table import _record, parquet
+from knotgym.datasets.image_table import drawn_table, parquet, rows_of
 from knotgym.datasets.subsets import merge
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
@@ -52,7 +52,7 @@ def refused(command: str, path: Path, capfd: Capture) -> str:
 def rows() -> list[dict[str, Any]]:
     """Rows of three pictures."""
     ropes = read_states(shipped(), images=False).points[[20, 70, 120]]
-    return [_record(row, AppearanceConfig(sizes=(64,))) for row in picture_rows(ropes)]
+    return [*rows_of(drawn_table(picture_rows(ropes), AppearanceConfig(sizes=(64,))))]
 
 
 @pytest.mark.parametrize("command", [*COMMANDS])
