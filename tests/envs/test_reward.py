@@ -7,11 +7,12 @@ import pytest
 from synthetic_episodes import TINY
 
 from knotgym.adapters import goal_env
-from knotgym.control import PolicyConfig, dataset_faults, make_policy, rollouts
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import open_episodes
 from knotgym.envs import reward
 from knotgym.envs.reward import Situation
 from knotgym.envs.tasks import TaskConfig
+from knotgym.generate import faults as dataset_faults
 from knotgym.loaders import Transitions
 
 Outcome = tuple[float, bool, bool]  # reward, terminated, truncated
@@ -65,7 +66,7 @@ def test_a_reward_is_changed_in_one_place(monkeypatch: pytest.MonkeyPatch) -> No
         opened = Transitions(stored, relabel="all", action=action)
         assert opened.segments > 3
         for k in range(len(opened)):
-            rows = np.arange(opened._before[k], opened._after[k])
+            rows = np.arange(opened._segments.before[k], opened._segments.after[k])
             due = 5.0 * opened.terminals[k] - (0.1 + steps["crossings"][rows + 1]).sum()
             assert opened.rewards[k] == pytest.approx(due)
     # goal environments

@@ -69,7 +69,8 @@ def test_decisions_are_whole_or_say_that_they_are_not() -> None:
     stored = open_episodes(TINY["expert"])
     opened = Transitions(stored, observation="state", action="decision")
     batch, steps = opened.batch(np.arange(len(opened))), stored.episodes.steps
-    for k, (before, after) in enumerate(zip(opened._before, opened._after, strict=True)):
+    own = opened._segments
+    for k, (before, after) in enumerate(zip(own.before, own.after, strict=True)):
         made = batch["actions"][k, 33:] > 0
         count = int(made.sum())
         assert made[:count].all() and batch["whole"][k] == (count in (after - before, 10))
