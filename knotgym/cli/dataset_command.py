@@ -256,5 +256,6 @@ def _cut(given: Given, cut: Callable[..., Path | list[Path]]) -> None:
     """Write some rows of a dataset as new files, and say what each holds."""
     given.progress.stage("choosing rows")
     made = cut(overwrite=given.run.overwrite)
-    for one in [made] if isinstance(made, Path) else made:
-        given.progress.say(f"{one}: {datasets.kept(one)}")
+    parts = [made] if isinstance(made, Path) else made
+    for one in parts:
+        given.progress.say(f"{one}: {datasets.kept(one, parts[0])}")

@@ -226,10 +226,22 @@ def merge(
     return f"{made}: {sum(one.episodes.rows for one in parts)} episodes"
 
 
-def kept(path: Path) -> str:
-    """Say how many rows of its source a selected dataset has."""
-    last = _opened(path).earlier[-1]
-    return f"{last['kept']} of {last['rows']} rows"
+def kept(path: Path, first: Path | None = None) -> str:
+    """Say how many rows of its source a selected dataset has; of a part of a split also how many
+    states it shares with the `first` part.
+    """
+    rows = _opened(path)
+    said = f"{rows.earlier[-1]['kept']} of {rows.earlier[-1]['rows']} rows"
+    if first is None or first == path or not isinstance(rows.data, EpisodeDataset):
+        return said
+    shared = list[str]()
+    for name in ("start", "goal"):
+        mine, other = (
+            {*one.episodes.episodes[name].tolist()} for one in (rows.data, open_episodes(first))
+        )
+        shared.append(f"{len(mine & other)} of its {len(mine)} {name}s")
+    why = "; only states without crossings may" * (not all(one[:2] == "0 " for one in shared))
+    return f"{said}; {', '.join(shared)} stand in {first.name}, too{why}"
 
 
 class _Rows(NamedTuple):

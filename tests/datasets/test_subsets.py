@@ -130,7 +130,7 @@ def test_rows_are_deleted_by_number(tmp_path: Path, states_path: str) -> None:
 def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
     made = episodes([1] * 40)
     goals = np.arange(40) // 4
-    made = made._replace(episodes=made.episodes.replaced(goal=goals))
+    made = made._replace(episodes=made.episodes.replaced(goal=goals, start=np.arange(40) % 3))
     path = written(tmp_path / "a.h5", made)
     parts = split(path, "train=0.7,val=0.3", out=tmp_path / "b.h5")
     assert [one.name for one in parts] == ["b-train.h5", "b-val.h5"]
@@ -141,6 +141,9 @@ def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
     ]
     assert not shown[0] & shown[1]
     assert rows[0].rows + rows[1].rows == 40 and rows[0].rows > rows[1].rows
+    # plain loops, in which all of them begin, are in both
+    said = f"3 of its 3 starts, 0 of its {len(shown[1])} goals stand in b-train.h5, too"
+    assert f"{said}; only states without crossings may" in kept(parts[1], parts[0])
     for wrong in ("a=1", "a=0.5,b=0.6", "a=x,b=1", "a=0.5,a=0.5", ""):
         with pytest.raises(InvalidInput):
             split(path, wrong, out=tmp_path / "c.h5")
