@@ -27,14 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Array, Ids, InvalidInput, Threads, inner, kernel
-from knotgym.topology.crossing_kernel import (
-    CROSSING,
-    SAME,
-    Columns,
-    count_hits,
-    scan_curves,
-    scan_rows,
-)
+from knotgym.topology.crossing_kernel import CROSSING, SAME, count_hits, scan_curves, scan_rows
 from knotgym.topology.gauss import GaussCode, RopesCode
 from knotgym.topology.symmetry import Symmetry
 
@@ -43,18 +36,22 @@ WIDTH = 32  # crossings that arrays have room for at first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Crossings:
-    """The n crossings of one rope, in order of first visit; the arrays are read-only.
+class _Table:
+    """The n crossings of ropes, in order of first visit; the arrays are read-only.
+
+    Places are in beads from the first of the first rope on; rope k begins where those before end.
 
     Attributes:
         visits: int64 (2 n,), +label over, -label under, in the order of the walk.
         table: float64 (n, 7), one row per crossing; see `crossing_kernel.CROSSING`.
-        code: the Gauss code, with chirality.
     """
 
     visits: Ids
     table: Array
-    code: GaussCode
+
+    def __post_init__(self) -> None:
+        self.visits.setflags(write=False)
+        self.table.setflags(write=False)
 
     @property
     def nx(self) -> int:
@@ -96,6 +93,17 @@ class Crossings:
         """Where the upper strands pass, float64 (n, 3), metres."""
         return np.column_stack([self.position, self.over_z])
 
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossings(_Table):
+    """The crossings of one closed rope.
+
+    Attributes:
+        code: the Gauss code, with chirality.
+    """
+
+    code: GaussCode
+
     def texts_after(self, symmetries: Symmetry, beads: int) -> list[str]:
         """Write the codes of the ropes, of so many beads, that symmetries make of this one.
 
@@ -123,6 +131,17 @@ class Crossings:
         return float(strand_spacing(pixels, along, at, walk))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RopesCrossings(_Table):
+    """The crossings of several ropes, or of an open one.
+
+    Attributes:
+        code: their code, with chirality.
+    """
+
+    code: RopesCode
+
+
 @lru_cache(maxsize=2**12)
 def _texts_after(code: GaussCode) -> NDArray[np.object_]:
     """Write a code after each symmetry: objects, by switch, reverse, and visits that are passed."""
@@ -144,24 +163,7 @@ def find_crossings(points: ArrayLike) -> Crossings:
     """
     rope = _checked(points, 2)
     visits, table, _ = _scan(rope, (np.array([len(rope)]), np.array([True])))
-    visits.setflags(write=False)
-    table.setflags(write=False)
     return Crossings(visits, table, _gauss_code(visits, table[:, CROSSING.sign]))
-
-
-class RopesCrossings(NamedTuple):
-    """The n crossings of several ropes, in order of first visit: fields as of `Crossings`.
-
-    Places are in beads from the first of the first rope on; rope k begins where those before end.
-    """
-
-    over_place: Array
-    under_place: Array
-    position: Array
-    over_z: Array
-    under_z: Array
-    sign: NDArray[np.int8]
-    code: RopesCode
 
 
 def find_ropes_crossings(
@@ -185,10 +187,10 @@ def find_ropes_crossings(
     checked = [_checked(one, 2, shut) for one, shut in zip(ropes, each, strict=True)]
     ends = np.cumsum([len(one) for one in checked])
     visits, table, owners = _scan(np.concatenate(checked), (ends, np.array(each)))
-    arrays, stops = _arrays(table), np.searchsorted(owners, ends).tolist()
+    stops = np.searchsorted(owners, ends).tolist()
     walk = [tuple(visits[i:j].tolist()) for i, j in zip([0, *stops], stops, strict=False)]
-    code = RopesCode(tuple(walk), each, GaussCode.letters_of(arrays[-1].tolist()))
-    return RopesCrossings(*arrays, code)
+    code = RopesCode(tuple(walk), each, GaussCode.letters_of(table[:, CROSSING.sign].tolist()))
+    return RopesCrossings(visits, table, code)
 
 
 @overload
@@ -394,16 +396,6 @@ def _scan(points: Array, curves: tuple[Ids, NDArray[np.bool_]]) -> tuple[Ids, Ar
     if not finite:
         raise InvalidInput(f"no rope: a coordinate is not finite; {_FINITE}")
     return visits, table, owners
-
-
-def _arrays(table: Array) -> tuple[Array, Array, Array, Array, Array, NDArray[np.int8]]:
-    """Return the columns of crossings that users see, read-only."""
-    c = Columns(*table.T.copy())
-    position, sign = table[:, [CROSSING.x, CROSSING.y]], c.sign.astype(np.int8)
-    arrays = c.over_place, c.under_place, position, c.over_z, c.under_z, sign
-    for array in arrays:
-        array.setflags(write=False)
-    return arrays
 
 
 def _gauss_code(visits: Ids, signs: NDArray[Any]) -> GaussCode:
