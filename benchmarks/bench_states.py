@@ -25,7 +25,7 @@ from knotgym.common import Array, Stream, Table
 from knotgym.generate import GenerateConfig, PhasedPulls, judge
 from knotgym.quality import Limits
 from knotgym.rope import CHAIN, Rope
-from knotgym.states import STATE_SPLITS, States, nearest, pairs_within, read_states, resolve_states
+from knotgym.states import STATE_SPLITS, Spectra, States, pairs_within, read_states, resolve_states
 from knotgym.topology import GaussCode, label
 
 LIVES = 8  # of each drawn rope, each with other pulls
@@ -111,7 +111,7 @@ def told(table: Mapping[str, NDArray[Any]], points: Array) -> None:
     for one in sorted({*nx.tolist()}):
         own = [np.flatnonzero((nx == one) & (table["split"] == split)) for split in STATE_SPLITS]
         shown = [{*plain[rows].tolist()} for rows in own]
-        apart = 1000 * nearest(points[own[1]], points[own[0]])[0]
+        apart = 1000 * Spectra.of(points[own[1]]).nearest(Spectra.of(points[own[0]]))[0]
         print(
             f"nx {one}: {len(own[0])} train, {len(own[1])} test; codes {len(shown[0])} and"
             f" {len(shown[1])}, of test not in train {len(shown[1] - shown[0])}; nearest"

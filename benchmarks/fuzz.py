@@ -27,10 +27,11 @@ import numpy as np
 from commands import Outcome, played
 from rich.console import Console
 
-from knotgym.cli import application, commands
+from knotgym.cli import application
 
 DATASET = "show verify gallery replay page select split delete merge import export".split()
-NAMES = [*(name for name in commands() if name not in ("dataset", "play", "demo"))]
+NOT = ("dataset", "play", "demo")
+NAMES = [name for name in application() if name[0] != "-" and name not in NOT]
 NAMES += [f"dataset {name}" for name in DATASET]
 OPTION = re.compile(r"^ *\*? +(--[a-z-]+)(?: (--[a-z-]+))?(?: ([A-Z,]+))?", re.MULTILINE)
 ARGUMENT = re.compile(r"^ (?:\*  | *)([A-Z][A-Z-]+)  ", re.MULTILINE)

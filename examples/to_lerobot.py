@@ -20,8 +20,8 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit("to_lerobot.py needs LeRobot: pip install 'lerobot>=0.4'") from error
 
-from knotgym.datasets import gauss_codes
 from knotgym.loaders import Transitions
+from knotgym.topology import CodeArrays
 
 FRAMES_PER_SECOND = 5  # an action takes 0.192 s
 NUMBERS = {
@@ -56,7 +56,7 @@ def convert(source: str, out: Path, video: bool) -> int:
     opened = Transitions(source, observation="both", action="pull")
     episodes = opened.dataset.episodes
     reached = episodes.goal_reached(opened.task)
-    goals = gauss_codes(episodes.episodes["goal_visits"])
+    goals = CodeArrays(episodes.episodes["goal_visits"]).texts()
     shape = opened.observations(0, 0, 1)["pixels"].shape[1:]
     made = LeRobotDataset.create(
         f"knotgym/{out.name}",

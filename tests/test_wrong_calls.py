@@ -18,7 +18,6 @@ from knotgym.datasets import read_table, select
 from knotgym.drawing import drawn_curve
 from knotgym.envs import KnotEnv, KnotVectorEnv, TaskConfig
 from knotgym.generate import CollectConfig, ImagesConfig
-from knotgym.learn import CloneConfig
 from knotgym.loaders import (
     GoalSampling,
     Sequences,
@@ -76,10 +75,6 @@ def batch(rows: Any, **opening: Any) -> Any:
 
 def rope(**settings: Any) -> Any:
     return RopeConfig(**settings)
-
-
-def clone(**settings: Any) -> Any:
-    return CloneConfig(**settings)
 
 
 def twice(reading: dict[str, Any] = STATE, without: str = "", **more: Any) -> Any:
@@ -157,8 +152,6 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: policy("no_such_module:act"), "no_such_module"),
     (lambda: policy("recorded:nowhere"), "nowhere"),
     (lambda: register("expert"), "expert"),
-    (lambda: clone(width=18), "multiple of 4"),
-    (lambda: clone(copies=21), "copies"),
 ]
 
 

@@ -31,9 +31,7 @@ def show(given: Given, source: Source, /) -> None:
     Prints crossings, codes, chirality, splits, quality and rejections. For transcripts of `knotgym
     prompt` (a .jsonl file or its folder): success rate, answers, retries and tokens.
     """
-    from knotgym.cli.inspection import print_summary
-
-    print_summary(source, given.progress.console)
+    given.summarize(source)
 
 
 @_command("run.overwrite")

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from knotgym import datasets
-from knotgym.cli.options import RUN, Given, Numbers, command, numbers, run_folder
+from knotgym.cli.options import RUN, Given, Numbers, command, numbers
 from knotgym.common import InvalidInput, Stream
 from knotgym.generate import GenerateConfig
-from knotgym.topology import UNKNOT, GaussCode, diagram_of, parse_codes
+from knotgym.topology import UNKNOT, GaussCode, Knot, parse_codes
 
 HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
 MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
@@ -46,9 +46,9 @@ def generate(
     from knotgym.generate import make_states  # the simulator
 
     knot = given.get("knot")
-    usual = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
+    usual = str(Knot(knot).diagram.nx) if knot != UNKNOT else "3"
     marks = [f"nx{usual if nx is None else nx}", codes and codes.stem, knot != UNKNOT and knot]
-    folder = run_folder(out, "-".join(str(mark) for mark in marks if mark))
+    folder = given.folder(out, "-".join(str(mark) for mark in marks if mark))
     more: dict[str, Any] = {} if nx is None else {"nx": numbers(nx)}
     if codes is not None:
         count = given.get("count") if given.has("count") else None

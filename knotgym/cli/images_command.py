@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from knotgym import generate
-from knotgym.cli.options import RUN, Given, as_typed, command, run_folder
+from knotgym.cli.options import RUN, Given, as_typed, command
 from knotgym.generate import ImagesConfig
 from knotgym.states import is_bundled
 
@@ -42,5 +42,5 @@ def images(given: Given, *, out: Path | None = None, states: str | None = None) 
         marks.append(f"from-{whence}")
     marks += [name for name in (config.appearance.name,) if name != usual]
     marks += ["varied"] * bool(config.appearance.vary)
-    folder = run_folder(out, "-".join(marks))
+    folder = given.folder(out, "-".join(marks))
     generate.make_images(config, folder, given.run, states=states, progress=given.progress)

@@ -240,16 +240,22 @@ class Given:
         """The options of the run."""
         return self.config(RunOptions, {"quiet": self.quiet}, section="run")
 
+    @staticmethod
+    def folder(out: Path | None, name: str) -> Path:
+        """Return --out, or else the folder of this name among those of all runs."""
+        return out or Path("knotgym-data") / re.sub(r"[^\w.,-]", "-", name)
+
+    def summarize(self, named: str) -> None:
+        """Print what a dataset, or the output of a command, holds."""
+        from knotgym.cli.inspection import print_summary  # the simulator
+
+        print_summary(named, self.progress.console)
+
     def _at(self, path: str) -> Any:
         found: Any = self.settings
         for name in path.split("."):
             found = found.get(name) if isinstance(found, dict) else None
         return found
-
-
-def run_folder(out: Path | None, name: str) -> Path:
-    """Return --out, or else the folder of this name among those of all runs."""
-    return out or Path("knotgym-data") / re.sub(r"[^\w.,-]", "-", name)
 
 
 def _all_fields(sections: Sections) -> Iterator[_Field]:

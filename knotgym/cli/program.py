@@ -59,7 +59,7 @@ class Command(NamedTuple):
 
 
 @cache
-def command_texts(package: str = _OWN) -> dict[str, Any]:
+def _command_texts(package: str = _OWN) -> dict[str, Any]:
     """Return a package's commands.toml; nothing of one that isn't there."""
     spec = find_spec(package)  # which imports only what the package is in
     folders = spec.submodule_search_locations if spec else None
@@ -79,7 +79,7 @@ def packages() -> tuple[str, ...]:
     for one in sorted(entry_points(group=GROUP), key=lambda one: one.value):
         said = f"the commands of entry point {one.name} = {one.value} can't be loaded"
         with InvalidInput.instead(said, ImportError, OSError, ValueError):
-            command_texts(one.value)
+            _command_texts(one.value)
         found.append(one.value)
     return tuple(dict.fromkeys(found))
 
@@ -93,7 +93,7 @@ def commands() -> dict[str, Command]:
     """
     table: dict[str, Command] = {}
     for package in packages():
-        for name, row in command_texts(package).get("commands", {}).items():
+        for name, row in _command_texts(package).get("commands", {}).items():
             if name in table:
                 raise InvalidInput(f"{package} brings a command {name!r}, which there is already")
             module = f"{package}.{row.get('module', f'{name}_command')}"
@@ -104,7 +104,7 @@ def commands() -> dict[str, Command]:
 def shown(named: str) -> Any:
     """Return what a package shows of a folder that only it knows: facts and rows, or None."""
     for package in packages():
-        if function := command_texts(package).get("shows"):
+        if function := _command_texts(package).get("shows"):
             if found := resolve_name(f"{package}.{function}")(named):
                 return found
     return None
@@ -114,8 +114,8 @@ def application() -> App:
     """Make the application `knotgym`."""
     app = App(
         name="knotgym",
-        help=command_texts()["help"],
-        help_epilogue=command_texts()["epilogue"],
+        help=_command_texts()["help"],
+        help_epilogue=_command_texts()["epilogue"],
         help_format="plaintext",
         suppress_keyboard_interrupt=False,
         version=f"knotgym {__version__}",

@@ -12,11 +12,10 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import cache
-from itertools import permutations
 from pathlib import Path
 
 from knotgym.common.configurations import read_json
@@ -65,36 +64,6 @@ def require_output(
     _put_back(target)
     _require_free(target, folder, overwrite)
     _require_writable(target)
-
-
-def require_apart(*outputs: Path | None) -> None:
-    """Raise Occupied if two of a command's outputs are one, or one lies in another."""
-    wanted = [(one, one.parent.resolve() / one.name) for one in outputs if one is not None]
-    for (one, place), (other, other_place) in permutations(wanted, 2):
-        if place.is_relative_to(other_place):
-            raise Occupied(f"{one} and {other} are two outputs of one command; name them apart")
-
-
-def names_apart(paths: Sequence[Path], separator: str = "/", least: int = 1) -> list[str]:
-    """Name paths by the fewest of their last parts that tell them apart, also where case doesn't.
-
-    Args:
-        paths: the paths.
-        separator: between the parts.
-        least: how many parts a name has at least.
-
-    Raises:
-        InvalidInput: not even all parts tell them apart.
-
-    >>> names_apart([Path("alice/tie/x-v0"), Path("bob/tie/x-v0")], "-", 2)
-    ['alice-tie-x-v0', 'bob-tie-x-v0']
-    """
-    parts = [path.absolute().parts for path in paths]
-    for count in range(least, max(map(len, parts), default=0) + 1):
-        names = [separator.join(own[-count:]) for own in parts]
-        if len({name.casefold() for name in names}) == len(names):
-            return names
-    raise InvalidInput(f"names can't tell {', '.join(map(str, paths))} apart; rename one")
 
 
 def _require_free(target: Path, folder: bool, overwrite: bool) -> None:

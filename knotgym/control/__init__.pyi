@@ -13,7 +13,6 @@ from .policies import register_policy as register_policy
 from .policy_config import PassPlannerConfig as PassPlannerConfig
 from .policy_config import PolicyConfig as PolicyConfig
 from .policy_config import PullPlannerConfig as PullPlannerConfig
-from .recorded_policy import dataset_faults as dataset_faults
 from .recorded_policy import replay as replay
 from .sampler import Player as Player
 from .sampler import Policy as Policy

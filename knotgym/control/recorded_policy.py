@@ -6,11 +6,9 @@ every command that resets to the same starts, such as `knotgym evaluate` with th
 episodes were recorded with.
 """
 
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -37,13 +35,6 @@ def replay(
     """
     policy = SimplePolicy("recorded", partial(_RecordedPlayer, episodes, ""))
     return rollouts(policy, task, episodes.episodes if seeds is None else seeds)
-
-
-def dataset_faults(source: str | os.PathLike[str], *given: Any, **named: Any) -> Iterator[str]:
-    """Yield the faults of a dataset as they are found; arguments as of `datasets.faults`."""
-    from knotgym.datasets import faults, locate  # here, as replays need neither
-
-    return faults(locate(os.fspath(source)), replay, *given, **named)
 
 
 class _RecordedPlayer(Player):

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Counts, Ids, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.datasets import EPISODES, LABELS, MACROS, RECORDED, STEPS, Episodes, Shown
+from knotgym.datasets import MACROS, STEPS, Episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 
 _CODES = ("visits", "signs")  # columns that widen with the longest code
@@ -174,7 +174,7 @@ def rollouts(
     batch = EpisodeBatch(task, max(1, min(lanes, todo, most)))
     coming = _Coming(batch, seeds)
     player = policy.player(batch)
-    record = _Record(batch, keep, todo, adviser is not None, columns)
+    record = _Record(batch, keep, todo, columns)
     advice = None if adviser is None else _Advice(adviser.player(batch), batch)
     while True:
         free = np.flatnonzero(batch.number < 0)
@@ -308,21 +308,14 @@ class _Record:
     """What is kept of the episodes under way, in arrays (lanes, horizon + 1, ...)."""
 
     def __init__(
-        self,
-        batch: EpisodeBatch,
-        keep: Schema | None,
-        todo: int,
-        advised: bool,
-        columns: Columns | None,
+        self, batch: EpisodeBatch, keep: Schema | None, todo: int, columns: Columns | None
     ) -> None:
         self._batch, self._own = batch, columns if keep is not None else None
         names = keep.names if keep is not None else []
-        if not advised:
-            names = [name for name in names if name not in LABELS]
         self._schema = self._sized((keep or STEPS).only(*names))
         self._states = {c.name for c in self._schema.columns if c.of == "state"}
         self._unfilled: set[str] | None = {*names}  # until the first pull was made
-        self._episodes = self._sized(EPISODES if "observation" in names else RECORDED)
+        self._episodes = self._sized(Episodes.schema_beside(self._schema))
         length = batch.task.horizon + 1
         self._steps = {
             name: column.reshape(batch.count, length, *column.shape[1:])
@@ -454,8 +447,8 @@ class _Record:
         if not self._states:
             return
         codes = (batch.visits[ids], batch.signs[ids], batch.crossings[ids])
-        shown = Shown(batch.simulation.points[ids], *codes)
-        for name, values in shown.columns(self._schema).items():
+        shown = Episodes.of_states(self._schema, batch.simulation.points[ids], *codes)
+        for name, values in shown.items():
             if name in _CODES and values.shape[1] > self._steps[name].shape[2]:
                 self._steps[name] = padded(self._steps[name], values.shape[1])
             self._put(name, ids, values)

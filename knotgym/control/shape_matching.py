@@ -45,7 +45,7 @@ class MatchingPlayer(Player):
 
     def act(self, ids: Ids) -> Pulls:
         ropes, goals = self._shapes(ids)
-        places = turned_onto(ropes, goals)
+        places = _turned_onto(ropes, goals)
         away = places - (ropes - ropes.mean(axis=1, keepdims=True))
         away += [self._rngs[k].normal(0, _NOISE, away.shape[1:]) for k in ids.tolist()]
         beads = np.linalg.norm(away * [1, 1, _HEIGHT], axis=2).argmax(axis=1)
@@ -62,12 +62,12 @@ class MatchingPlayer(Player):
         halves = np.split(seen, 2, axis=2 if seen.shape[2] > task.image_size else 3)
         scale = PictureConfig.of(task.beads, size=task.image_size).pixels_per_metre
         ropes, goals = (
-            np.stack([places_by_hue(one, task.beads, scale) for one in half]) for half in halves
+            np.stack([_places_by_hue(one, task.beads, scale) for one in half]) for half in halves
         )
         return ropes, goals
 
 
-def turned_onto(ropes: Array, goals: Array) -> Array:
+def _turned_onto(ropes: Array, goals: Array) -> Array:
     """Return goals (n, beads, 3) about their centres, turned about z to lie on ropes best."""
     own, other = (shape - shape.mean(axis=1, keepdims=True) for shape in (ropes, goals))
     # as complex numbers, the best turn is the direction of the sum of rope x conjugate of goal
@@ -77,7 +77,7 @@ def turned_onto(ropes: Array, goals: Array) -> Array:
     return np.stack([turned.real, turned.imag, other[..., 2]], axis=2)
 
 
-def places_by_hue(picture: NDArray[np.uint8], beads: int, scale: float) -> Array:
+def _places_by_hue(picture: NDArray[np.uint8], beads: int, scale: float) -> Array:
     """Place each bead at the middle of the pixels of its colour: float64 (beads, 3), metres.
 
     Beads that are hidden lie between their neighbours. Heights are 0.

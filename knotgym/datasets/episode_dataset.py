@@ -357,7 +357,7 @@ def require_alike(
 def write_episodes(
     path: str | os.PathLike[str],
     parts: Sequence[Episodes],
-    task: TaskConfig,
+    task: TaskConfig | Sequence[TaskConfig],
     facts: Mapping[str, Any] | None = None,
     *,
     pack: bool = False,
@@ -367,7 +367,7 @@ def write_episodes(
     Args:
         path: of the file.
         parts: sets of episodes, which are appended; all recordings, or none.
-        task: the environment.
+        task: the environment; or several, which the column `setup` counts.
         facts: further attributes: metadata, run, selection, and the digests of the task's states
             and of the engine, which are found here if they aren't given. None is left out.
         pack: whether to compress the file, which then isn't mapped when read.
@@ -379,6 +379,9 @@ def write_episodes(
         raise InvalidInput("episodes to write are a list of recordings, or of columns")
     same = fitted(parts)
     own = dict(facts or {})
+    if not isinstance(task, TaskConfig):
+        own["tasks"] = [common.as_json(one) for one in task]
+        task = joined_task(task)
     if not is_bundled(task.states) and STATES_DIGEST not in own:
         own[STATES_DIGEST] = common.sha256(resolve_states(task.states))
     if "engine" not in own:

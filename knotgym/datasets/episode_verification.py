@@ -23,7 +23,7 @@ from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import ENGINES
-from knotgym.states import NEAR, distances, pairs_within, repeated
+from knotgym.states import NEAR, Spectra, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
 Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.replay`
@@ -315,10 +315,11 @@ def _start_fault(batch: EpisodeBatch, qpos: Array, seed: int, named: int) -> str
     it is the one that the episode's seed draws, unless the seed isn't known or drew a task first.
     """
     points, states, split = batch.simulation.rope.points(qpos), batch.starts, batch.task.split
-    if distances(points, states.points[named][None])[0] < _MATCH:
+    lies = Spectra.of(points[None])
+    if lies.turned_distances(Spectra.of(states.points[[named]])) < _MATCH:
         return ""
     mine = np.concatenate([states.rows(nx, split) for nx in set(states.nx.tolist())])
-    apart = distances(points, states.points)
+    apart = lies.turned_distances(Spectra.of(states.points))[0]
     apart[mine] = np.inf
     row = int(apart.argmin())
     if apart[row] < _MATCH:

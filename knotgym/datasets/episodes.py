@@ -55,7 +55,6 @@ _PARTS = ("pulls", "macros", "frames", "labels")
 # names of columns that users add begin with the last word
 STEPS = Schema("steps", columns_in(*_PARTS), _STEP, own="info/")
 MACROS = tuple(column.name for column in columns_in("macros"))
-LABELS = tuple(column.name for column in columns_in("labels"))  # of an adviser
 # of both forms, and under the digest of starts and pulls
 _CORE = {c.name for c in columns_in("starts", "played", "planned", "pulls") if not c.optional}
 _CORE |= {*MACROS, *(c.name for c in columns_in("setups"))}
@@ -69,7 +68,7 @@ def _kept(schema: Schema) -> Schema:
 
 
 # its digests are as long as tells episodes apart
-_DIGEST = columns_in("digests")[0]._replace(derived=lambda made: made.state_digests())
+_DIGEST = columns_in("digests")[0]._replace(derived=lambda made: made._state_digests())
 RECORDED = _kept(EPISODES)
 PULLS = _kept(STEPS)._replace(row="a state and the pull made in it")
 (_BINS,) = columns_in("bins")
@@ -80,7 +79,7 @@ _STORED_RECORDED = RECORDED.extended(_DIGEST)
 FORMS = {"columns": (EPISODES, STEPS), "recording": (_STORED_RECORDED, STORED_PULLS)}  # of files
 
 
-def is_claim(column: Column) -> bool:
+def _is_claim(column: Column) -> bool:
     """Whether nothing can make a column again, nor does a replay repeat it."""
     return column.origin == "given" and column.name not in _CORE - _PLANNED
 
@@ -134,6 +133,16 @@ class Episodes(NamedTuple):
     episodes: Table
     steps: Table
 
+    @staticmethod
+    def of_states(schema: Schema, *given: Any) -> dict[str, NDArray[Any]]:
+        """Return the columns of steps that belong to states; `given` are those of `Shown`."""
+        return Shown(*given).columns(schema)
+
+    @staticmethod
+    def schema_beside(steps: Schema) -> Schema:
+        """Return the schema of episodes whose steps have these columns."""
+        return EPISODES if "observation" in steps.names else RECORDED
+
     @property
     def offsets(self) -> Ids:
         """First row of steps of each episode, then their number: int64 (n + 1,)."""
@@ -155,7 +164,7 @@ class Episodes(NamedTuple):
         if self.is_recording:
             return self
         kept = Episodes(*(table.only(*_kept(table.schema).names) for table in self))
-        own = {**kept.episodes, _DIGEST.name: self.state_digests()}
+        own = {**kept.episodes, _DIGEST.name: self._state_digests()}
         return kept._replace(episodes=Table(kept.episodes.schema.extended(_DIGEST), own))
 
     def of_setup(self, setup: ArrayLike) -> "Episodes":
@@ -175,7 +184,7 @@ class Episodes(NamedTuple):
             c.name
             for table in self
             for c in table.schema.columns
-            if not is_claim(c) and (c.name in _CORE or not c.optional)
+            if not _is_claim(c) and (c.name in _CORE or not c.optional)
         }
         return Episodes(*(table.only(*names & {*table}) for table in self))
 
@@ -185,7 +194,7 @@ class Episodes(NamedTuple):
             f"{table.schema.name}/{c.name}": table.only(c.name)
             for table in self
             for c in table.schema.columns
-            if is_claim(c) and c.name not in _CORE
+            if _is_claim(c) and c.name not in _CORE
         }
 
     def with_claims(self, stored: "Episodes") -> "Episodes":
@@ -193,7 +202,7 @@ class Episodes(NamedTuple):
         tables = list[Table]()
         for made, own in zip(self, stored, strict=True):
             given = (c for c in own.schema.columns if c.origin == "given")
-            names = [c.name for c in given if is_claim(c) or c.name not in made]
+            names = [c.name for c in given if _is_claim(c) or c.name not in made]
             claims = own.only(*names if made.rows == own.rows else ())
             schema = made.schema.extended(*claims.schema.columns)
             tables.append(Table(schema, {**made, **claims}))
@@ -431,7 +440,7 @@ class Episodes(NamedTuple):
         wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
         return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
 
-    def state_digests(self) -> NDArray[np.uint8]:
+    def _state_digests(self) -> NDArray[np.uint8]:
         """Compute the first bytes of the SHA-256 of each episode: uint8 (n, 8).
 
         It covers the start, all states with their codes, and the pulls; rewards and ends follow.
@@ -542,7 +551,7 @@ def _differing(one: Table, other: Table, name: str) -> Ids:
     Rows in which the other table has no value of an optional column don't differ.
     """
     (column,), a, b = other.schema.only(name).columns, one[name], other[name]
-    if is_claim(column) and one.schema.name == EPISODES.name:
+    if _is_claim(column) and one.schema.name == EPISODES.name:
         return np.zeros(0, dtype=np.int64)
     if a.shape != b.shape:
         return np.arange(min(1, max(len(a), len(b))))

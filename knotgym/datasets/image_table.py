@@ -66,7 +66,7 @@ def shown(*names: str) -> dict[str, str]:
     return {"huggingface": json.dumps({"info": {"features": features}})}
 
 
-def columns_among(names: Collection[str]) -> dict[str, Any]:
+def _columns_among(names: Collection[str]) -> dict[str, Any]:
     """Return all columns and their types of a table with these names.
 
     They are COLUMNS, and those of each appearance all of whose own columns are among the names.
@@ -101,7 +101,7 @@ def picture_column(pictures: Iterable[bytes]) -> Any:
 
 def _table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     """Return rows of one appearance, pictures as PNG bytes, as a pyarrow.Table."""
-    columns = columns_among(rows[0] if rows else ())
+    columns = _columns_among(rows[0] if rows else ())
     pngs = _pngs(columns)
     full = [{**row, **{n: {"bytes": row[n], "path": None} for n in pngs}} for row in rows]
     return arrow().Table.from_pylist(full, schema=_schema(columns))
@@ -292,7 +292,7 @@ def read_rows(
 
 def rows_of(table: Any) -> Iterator[dict[str, Any]]:
     """Iterate over the rows of a pyarrow.Table, see `read_rows`."""
-    pngs = _pngs(columns_among(table.column_names) | COLUMNS)
+    pngs = _pngs(_columns_among(table.column_names) | COLUMNS)
     for batch in table.to_batches():
         for row in batch.to_pylist():
             yield row | {name: row[name]["bytes"] for name in pngs if name in row}
@@ -315,7 +315,7 @@ def _content_digest(table: Any) -> str:
 
     It is `content_sha256` of a shard, and doesn't depend on how Parquet stores the rows.
     """
-    whole, kinds = hashlib.sha256(), sorted(columns_among(table.column_names).items())
+    whole, kinds = hashlib.sha256(), sorted(_columns_among(table.column_names).items())
     for row in rows_of(table):
         for name, _ in (one for one in kinds if one[1] == "image"):
             row[name] = hashlib.sha256(row[name]).hexdigest()
@@ -350,7 +350,7 @@ def _read(path: Path, columns: list[str] | None, images: bool) -> Any:
         )
     with _faults_named(path):
         _require_schema(file, os.path.getsize(path))
-        known = columns_among(file.schema_arrow.names)
+        known = _columns_among(file.schema_arrow.names)
         if not images:
             columns = [name for name, kind in known.items() if kind != "image"]
         table = file.read(columns=columns)
@@ -379,7 +379,7 @@ def _named(schema: Any) -> dict[str, Any]:
 def _require_schema(file: Any, stored: int) -> None:
     """Refuse a shard with other columns or types, or with sizes that its bytes can't hold."""
     found = file.schema_arrow
-    for wanted in _schema(columns_among(found.names)):
+    for wanted in _schema(_columns_among(found.names)):
         at = found.get_all_field_indices(wanted.name)
         if len(at) != 1:
             raise InvalidFile(f"column {wanted.name} must exist once, found {len(at)}")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, Table, from_json, read_json, require_stored
 from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, Shown
 from knotgym.envs import TaskConfig
-from knotgym.rope import VIEWS, Rope, nearest_beads
+from knotgym.rope import VIEWS, Rope, Taken
 from knotgym.topology import CodeArrays
 
 
@@ -84,8 +84,10 @@ def _episode(items: Mapping[str, Any], name: str, task: TaskConfig, policy: str)
     steps = schema.empty(pulls + 1)
     for column, found in shown.columns(schema).items():
         steps[column][:] = found
+    at = np.arange(pulls)
+    made = Taken({"observation": points, "read": actions}, at, at, "read", rope.reach)
     led: dict[str, Any] = {
-        "bead": nearest_beads(points[:pulls], rope.reach * actions[:, :3].astype(np.float64)),
+        "bead": made.beads,
         "force": np.clip(actions[:, 3:], -1, 1),
         "action": actions,
         "reward": _read("rewards"),

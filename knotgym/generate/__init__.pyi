@@ -13,7 +13,6 @@ from .generate_config import ImagesConfig as ImagesConfig
 from .image_recipe import make_images as make_images
 from .imported_curves import import_curves as import_curves
 from .play_source import PhasedPulls as PhasedPulls
-from .results import Result as Result
 from .state_recipe import make_states as make_states
 from .state_rows import judge as judge
 from .suite import make_suite as make_suite

@@ -27,7 +27,7 @@ from knotgym.quality import measure
 from knotgym.rope import RopeConfig, Simulation, simulation_of
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import STATE_SPLITS, families
-from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, diagram_of, shows, type_of
+from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, Knot
 
 _RARE = 20_000  # random codes to try until one shows the knot
 
@@ -64,14 +64,14 @@ class WantedCodes:
     """
 
     def __init__(self, config: GenerateConfig, nx: int) -> None:
-        self._knot, self._nx = config.knot, nx
+        self._knot, self._nx = Knot(config.knot), nx
         self.listed: Sequence[GaussCode] | None = None
         if config.codes:
             self.listed = [code for code in config.parsed if code.nx == nx]
         elif nx <= LISTED_NX:
-            self.listed = topology.codes_of(type_of(config.knot), nx)
-        elif nx == diagram_of(config.knot).nx:
-            self.listed = topology.based_diagrams(diagram_of(config.knot))
+            self.listed = topology.codes_of(self._knot.type, nx)
+        elif nx == self._knot.diagram.nx:
+            self.listed = self._knot.diagrams()
         counted = self.listed is not None and (config.codes or nx <= LISTED_NX)
         self.existing = len(self.listed or ()) if counted else None
         self._drawn: dict[GaussCode, None] = {}
@@ -114,10 +114,10 @@ class WantedCodes:
 
         for _ in range(_RARE):
             code = topology.uniform_code(self._nx, self._rng)
-            if shows(code, self._knot):
+            if self._knot.is_shown_by(code):
                 return code
         of = f"{_RARE} random codes with {self._nx} crossings"
-        raise InvalidInput(f"none of {of} shows {self._knot}")
+        raise InvalidInput(f"none of {of} shows {self._knot.name}")
 
 
 class _Order(NamedTuple):
@@ -321,9 +321,9 @@ def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
     if code.chirality is not None:
         return (code.chirality,)
     patterns = topology.chiralities(code)
-    if type_of(knot) == UNKNOT:
+    if (of := Knot(knot)).type == UNKNOT:
         return patterns
-    return tuple(letters for letters in patterns if shows(GaussCode(code.visits, letters), knot))
+    return tuple(one for one in patterns if of.is_shown_by(GaussCode(code.visits, one)))
 
 
 def _drawn(

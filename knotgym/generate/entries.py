@@ -24,7 +24,7 @@ import numpy as np
 from knotgym import common
 from knotgym.common import Counts, InvalidFile, KnotgymError, Stream
 from knotgym.control import PolicyConfig, make_policy, replay, rollouts
-from knotgym.datasets import EpisodeDataset, Episodes, joined_task, open_episodes, write_episodes
+from knotgym.datasets import EpisodeDataset, Episodes, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate.collection import blocks
 from knotgym.generate.episode_configs import EvaluateConfig
@@ -105,12 +105,11 @@ def write_entry(
     """Write the episodes of all setups, played with all columns of steps, to a file."""
     tasks = [task for _, task in config.setups()]
     facts = {
-        "tasks": [common.as_json(one) for one in tasks],
         "protocol": {"config": common.as_json(config), "states": states_digests(config)},
         "claims": claimed,
     }
     parts = [one.recording().of_setup(number) for number, one in enumerate(played)]
-    write_episodes(path, parts, joined_task(tasks), facts)
+    write_episodes(path, parts, tasks, facts)
 
 
 def read_entry(path: Path) -> Entry | None:

@@ -19,7 +19,7 @@ from knotgym.quality import Limits
 from knotgym.rendering import APPEARANCES, AppearanceConfig
 from knotgym.rope import ENGINES, MUJOCO, EngineName
 from knotgym.states import SOURCES
-from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, diagram_of, shows
+from knotgym.topology import LISTED_NX, UNKNOT, GaussCode, Knot
 
 _BEADS = 100  # of the rope that demonstrations are made with
 # Settings that states taken from ropes need.
@@ -166,7 +166,7 @@ class GenerateConfig:
 
     def _require_knot(self) -> None:
         """Require crossing numbers and codes that the knot can show, and that can be reached."""
-        least = diagram_of(self.knot).nx
+        least = Knot(self.knot).diagram.nx
         for nx in self.nx:
             if nx < least:
                 raise InvalidInput(f"{self.knot} has at least {least} crossings, got nx {nx}")
@@ -176,9 +176,9 @@ class GenerateConfig:
                     " --no-demonstrations makes states without them"
                 )
         for code in self.parsed:
-            if not shows(code, self.knot):
+            if not Knot(self.knot).is_shown_by(code):
                 seen = topology.knot_type(code)
-                is_hand = seen == topology.type_of(self.knot)
+                is_hand = seen == Knot(self.knot).type
                 advice = " (handedness differs)" if is_hand else f"; add --knot {seen}"
                 raise InvalidInput(
                     f"the code {str(code)!r} shows the knot {seen}, not {self.knot}{advice}"

@@ -30,7 +30,7 @@ from knotgym.generate.state_rows import ROWS, joined, states_of
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, run
 from knotgym.states import SOURCES, SPLITS, STATE_SPLITS, States, write_states
-from knotgym.topology import UNKNOT, diagram_of, type_of
+from knotgym.topology import UNKNOT, Knot
 
 # Settings that only say when a run gives up. A run may be resumed with others.
 _PATIENCE = ("attempts", "demonstration_attempts")
@@ -85,7 +85,7 @@ def _state_recipe(config: GenerateConfig, made_by: Mapping[str, Any], place: Pat
         "version": knotgym.__version__,
         "mujoco": mujoco.__version__,
         "source": " and ".join(one.source for one in config.parts),
-        "knot": type_of(config.knot),
+        "knot": Knot(config.knot).type,
     }
     rows, split = yield from _rows(config, report)
     states = states_of(rows, split, config.engine_used, made_by["config"])
@@ -158,7 +158,7 @@ def _start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, N
     Returns:
         The rows to start from, none near a state of the set, and their splits.
     """
-    least, parts, splits = diagram_of(config.knot).nx, list[Table](), [states.split[:0]]
+    least, parts, splits = Knot(config.knot).diagram.nx, list[Table](), [states.split[:0]]
     needed = {least} if max(config.nx) > least else set()
     if 0 in config.nx:
         needed.add(1)
@@ -180,7 +180,7 @@ def _demonstrated_nx(config: GenerateConfig) -> list[int]:
 
     The simplest diagrams of a knot are none; they are the starts. Loops are led to from curls.
     """
-    least = diagram_of(config.knot).nx
+    least = Knot(config.knot).diagram.nx
     return [nx for nx in config.nx if nx > least or not nx]
 
 
@@ -282,7 +282,7 @@ def _published(
         root: Minari root to write below.
         path: file of the states that they were reset from.
     """
-    knot, dataset = type_of(config.knot), [""] * len(states)
+    knot, dataset = Knot(config.knot).type, [""] * len(states)
     trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
     for nx, split in product(config.nx, STATE_SPLITS):
         own = [made[row] for row in states.rows(nx, split).tolist() if row in made]

@@ -23,7 +23,7 @@ from knotgym.rendering import PictureConfig, draw
 from knotgym.rope import RopeConfig
 from knotgym.runs import Result
 from knotgym.states import NEAR, STATES, RopeAtRest, Spectra, States
-from knotgym.topology import UNKNOT, GaussCode, find_crossings, pyknotid_code, shows
+from knotgym.topology import UNKNOT, GaussCode, Knot, find_crossings, pyknotid_code
 
 ROWS = STATES.without("image", "split")
 _NO_SIZES = ROWS.sized(nq=0, beads=0, actions=0)
@@ -66,7 +66,7 @@ def judge(
         found = _judged(replace(found.quality, noise_survival=noise_survival(p)))
     if not found.faults and pyknotid_code(p) != shown:
         found.faults.append("labellers disagree")
-    if not found.faults and code is None and not shows(shown, UNKNOT):
+    if not found.faults and code is None and not Knot(UNKNOT).is_shown_by(shown):
         found.faults.append(f"not certified as {UNKNOT}")
     return found
 

@@ -12,9 +12,10 @@ from dataclasses import replace
 from typing import Any
 
 import knotgym
+from knotgym import datasets
 from knotgym.common import InvalidFile, KnotgymError, from_json
-from knotgym.control import dataset_faults
-from knotgym.datasets import EpisodeDataset, locate, open_episodes
+from knotgym.control import replay
+from knotgym.datasets import EpisodeDataset, open_episodes
 from knotgym.generate.entries import acted_otherwise, read_entry, repeats
 from knotgym.generate.episode_configs import CollectConfig
 from knotgym.generate.results import references_of
@@ -59,11 +60,11 @@ def faults(
         source, sample: as of `verify`, but no entry.
         each: `map` or a pool's.
     """
-    clean = True
-    for fault in dataset_faults(source, each, sample):
+    clean, found = True, datasets.locate(os.fspath(source))
+    for fault in datasets.faults(found, replay, each, sample):
         clean = False
         yield fault
-    for path in locate(os.fspath(source)).episodes if clean else ():
+    for path in found.episodes if clean else ():
         opened = open_episodes(path)
         yield from (f"{opened.path}: {fault}" for fault in _metadata_faults(opened))
 

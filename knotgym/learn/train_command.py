@@ -52,12 +52,12 @@ def train(
         MissingExtra.imported(library, "learn", "knotgym train")
     from knotgym.learn.train_recipe import train as train_learner
 
-    writer = log_writer(log, out) if log else None
+    writer = _log_writer(log, out) if log else None
     train_learner(data or [], out, config, given.run, given.progress, writer)
     given.progress.say(f"next: knotgym evaluate --policy {out} --split train,test")
 
 
-def log_writer(name: str, out: Path) -> Callable[[int, dict[str, float]], None]:
+def _log_writer(name: str, out: Path) -> Callable[[int, dict[str, float]], None]:
     """Return what writes values by name at a step; a library's own writer opens at the first.
 
     Raises:

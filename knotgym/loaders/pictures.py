@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, InvalidInput
-from knotgym.datasets import arrow
+from knotgym.common import InvalidFile, InvalidInput, MissingExtra
 from knotgym.loaders.items import Index, rows_at
 from knotgym.quality import GRADES
 from knotgym.topology import GaussCode
@@ -38,7 +37,8 @@ class Pictures:
                 f"max_nx must be at least {nx.max()}, the crossings of a picture here, got {max_nx}"
             )
         image = table["image"].combine_chunks()
-        self._png = arrow("pyarrow.compute").struct_field(image, "bytes")
+        arrow = MissingExtra.imported("pyarrow.compute", "huggingface", "Parquet")
+        self._png = arrow.struct_field(image, "bytes")
         codes = [GaussCode.parse(text) for text in table["gauss_code_chiral"].to_pylist()]
         self.codes, self.splits = [str(code) for code in codes], table["split"].to_pylist()
         visits = np.zeros((len(nx), 2 * max_nx), dtype=np.int64)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from knotgym import datasets
-from knotgym.cli import EXISTING, Given, command, run_folder
+from knotgym.cli import EXISTING, Given, command
 from knotgym.common import InvalidFile, InvalidInput, atomic_write, require_output
 from knotgym.prompting.prompts import PromptConfig
 
@@ -60,13 +60,12 @@ def prompt(
         config = given.config(PromptConfig, more, usual=usual)
     task, model = config.task, config.chat.model
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
-    folder = run_folder(out, f"prompt-{config.mode}-{subject}-{model}")
+    folder = given.folder(out, f"prompt-{config.mode}-{subject}-{model}")
 
-    from knotgym.cli import print_summary
     from knotgym.prompting.prompt_run import run_prompts
 
     run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
-    print_summary(str(folder), given.progress.console)
+    given.summarize(str(folder))
 
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:

@@ -4,15 +4,13 @@ from .action_views import Taken as Taken
 from .actions import FORCE_BINS as FORCE_BINS
 from .actions import TowBound as TowBound
 from .actions import drawn_actions as drawn_actions
-from .actions import nearest_beads as nearest_beads
 from .actions import quantized as quantized
 from .chain.chain_simulation import ChainSimulation as ChainSimulation
 from .engines import CHAIN as CHAIN
-from .engines import COMPILING as COMPILING
 from .engines import ENGINES as ENGINES
 from .engines import MUJOCO as MUJOCO
 from .engines import EngineName as EngineName
-from .engines import is_compiled as is_compiled
+from .engines import compiling as compiling
 from .engines import simulation as simulation
 from .engines import simulation_of as simulation_of
 from .engines import warn_of_compilation as warn_of_compilation

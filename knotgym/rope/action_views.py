@@ -103,7 +103,7 @@ class ViewKind(NamedTuple):
     pull: Callable[[ActionView, Ids], Pull]
     counts: tuple[int, ...] = ()
     begin: Callable[[ActionView, Ids], None] = lambda view, ids: None
-    spent: Callable[[ActionView, Ids], NDArray[np.bool_]] = lambda view, ids: view.is_spent(ids)
+    spent: Callable[[ActionView, Ids], NDArray[np.bool_]] = lambda view, ids: view._is_spent(ids)
     is_plain: bool = False
     is_macro: bool = False
     leads: bool = False
@@ -185,7 +185,7 @@ class ActionView:
         half = (FORCE_CHOICES - 1) // 2
         return quantized((np.asarray(chosen, dtype=np.float64) - half) / half)
 
-    def is_spent(self, ids: Ids) -> NDArray[np.bool_]:
+    def _is_spent(self, ids: Ids) -> NDArray[np.bool_]:
         """Return which of the ropes `ids` have made all pulls that their actions have."""
         return self.pulls[ids] >= self.lengths[ids]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from knotgym.rope.model import Rope, RopeConfig
 
 MUJOCO, CHAIN = "mujoco", "chain"
-COMPILING = "compiling, once", 30.0  # and about how many seconds it takes
+_COMPILING = "compiling, once", 30.0  # and about how many seconds it takes
 _MICROMETRE = 1e-6  # metres
 
 
@@ -147,7 +147,7 @@ def _fixed_run(made: str) -> Array:
     return simulation.points[0].copy()
 
 
-def is_compiled(engine: str) -> bool:
+def _is_compiled(engine: str) -> bool:
     """Return whether numba's cache holds the kernels of an engine and of the crossing search."""
     from knotgym.topology import scan
 
@@ -163,10 +163,15 @@ def is_compiled(engine: str) -> bool:
     )
 
 
+def compiling(*engines: str) -> tuple[str, float] | None:
+    """Return what a first run with these engines waits for, and about how many seconds; or None."""
+    return None if all(map(_is_compiled, engines)) else _COMPILING
+
+
 def warn_of_compilation(engine: str) -> None:
     """Log that the first run has to wait for compilation: once for a process and its workers."""
-    if engine not in _warned and not is_compiled(engine) and _is_first(engine):
-        _log.warning("%s, about %.0f s", *COMPILING)
+    if engine not in _warned and not _is_compiled(engine) and _is_first(engine):
+        _log.warning("%s, about %.0f s", *_COMPILING)
     _warned.add(engine)
 
 

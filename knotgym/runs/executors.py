@@ -39,7 +39,7 @@ from knotgym.common import (
     plugins,
     use_plugins,
 )
-from knotgym.rope import CHAIN, COMPILING, MUJOCO, Rope, is_compiled, simulation
+from knotgym.rope import CHAIN, MUJOCO, Rope, compiling, simulation
 from knotgym.runs.identities import versions
 from knotgym.runs.progress import Progress
 
@@ -278,8 +278,8 @@ def compile_first(
     are drawn before anything is planned, so `plan` may still be under way on return.
     """
     engines = [engine] if plan is None else [*dict.fromkeys([CHAIN, engine])]
-    if not all(map(is_compiled, engines)):
-        progress.stage(COMPILING[0], lasts=COMPILING[1])
+    if waiting := compiling(*engines):
+        progress.stage(waiting[0], lasts=waiting[1])
         pool = pool or InProcess()
         # longest first; what several need is in the cache when the second comes to it
         longest, *others = engines

@@ -1,8 +1,6 @@
 from .near_duplicates import NEAR as NEAR
 from .near_duplicates import Spectra as Spectra
-from .near_duplicates import distances as distances
 from .near_duplicates import families as families
-from .near_duplicates import nearest as nearest
 from .near_duplicates import pairs_within as pairs_within
 from .near_duplicates import repeated as repeated
 from .schema import STATES as STATES

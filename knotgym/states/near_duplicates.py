@@ -108,11 +108,35 @@ class Spectra(NamedTuple):
         return self._distances(self.square, others.square, best)
 
     def turned_distances(self, others: Spectra) -> Array:
-        """Compute `distances` of all pairs: float64 (n, len(others)), metres."""
+        """Compute the distances of all pairs, bead by bead: float64 (n, len(others)), metres.
+
+        They are those after the best translation and rotation about z. No other symmetry is tried:
+        they tell whether a rope is at a state, not whether two states are near-duplicates.
+        """
         # Parseval: a sum over beads of products is the sum over frequencies / beads
         flat = np.abs(self.flat.conj() @ others.flat.T)
         agreement = flat + (self.upright.conj() @ others.upright.T).real
         return self._distances(self.square[:, None], others.square, agreement / self.flat.shape[1])
+
+    def nearest(self, others: Spectra) -> tuple[Array, NDArray[np.int64]]:
+        """Find the nearest of others to each configuration, at the best symmetry.
+
+        Returns:
+            Distances, float64 (n,), metres, and rows of others, int64 (n,).
+        """
+        least = self._least_distances(others)
+        distance, row = np.full(len(least), np.inf), np.zeros(len(least), dtype=np.int64)
+        for k, bounds in enumerate(least):
+            # in order of rising bound; stop when no remaining bound is below the best distance
+            order = np.argsort(bounds, kind="stable")
+            for first in range(0, len(order), 64):
+                some = order[first : first + 64]
+                if bounds[some[0]] >= distance[k]:
+                    break
+                apart = self.take(slice(k, k + 1)).pair_distances(others.take(some))
+                if apart.min() < distance[k]:
+                    distance[k], row[k] = apart.min(), some[apart.argmin()]
+        return distance, row
 
     def take(self, rows: Any) -> Spectra:
         """Select rows, in the order given."""
@@ -165,28 +189,6 @@ def families(points: Array) -> NDArray[np.int64]:
     return np.unique(leader, return_inverse=True)[1].astype(np.int64)
 
 
-def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Find the nearest of others to each configuration, at the best symmetry.
-
-    Returns:
-        Distances, float64 (n,), metres, and rows of others, int64 (n,).
-    """
-    a, b = Spectra.of(points), Spectra.of(others)
-    least = a._least_distances(b)
-    distance, row = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
-    for k, bounds in enumerate(least):
-        # in order of rising bound; stop when no remaining bound is below the best distance
-        order = np.argsort(bounds, kind="stable")
-        for first in range(0, len(order), 64):
-            some = order[first : first + 64]
-            if bounds[some[0]] >= distance[k]:
-                break
-            apart = a.take(slice(k, k + 1)).pair_distances(b.take(some))
-            if apart.min() < distance[k]:
-                distance[k], row[k] = apart.min(), some[apart.argmin()]
-    return distance, row
-
-
 def repeated(rows: Iterable[Hashable]) -> list[tuple[int, int]]:
     """List the rows that equal an earlier one, as pairs (first such row, row).
 
@@ -196,22 +198,6 @@ def repeated(rows: Iterable[Hashable]) -> list[tuple[int, int]]:
     first: dict[Hashable, int] = {}
     pairs = [(first.setdefault(one, row), row) for row, one in enumerate(rows)]
     return [(earlier, row) for earlier, row in pairs if earlier != row]
-
-
-def distances(points: Array, others: Array) -> Array:
-    """Compute distances bead by bead after the best translation and rotation about z.
-
-    No other symmetry is tried: this decides whether a rope is at a state, not whether two states
-    are near-duplicates.
-
-    Args:
-        points: float64 (beads, 3), metres.
-        others: float64 (n, beads, 3), metres.
-
-    Returns:
-        float64 (n,), root mean square distance of the beads, metres.
-    """
-    return Spectra.of(points[None]).turned_distances(Spectra.of(others))[0]
 
 
 def _negated(spectra: NDArray[Any]) -> NDArray[Any]:

@@ -18,13 +18,10 @@ from .gauss import RopesCode as RopesCode
 from .knots import LISTED_NX as LISTED_NX
 from .knots import UNKNOT as UNKNOT
 from .knots import UNKNOWN as UNKNOWN
-from .knots import based_diagrams as based_diagrams
+from .knots import Knot as Knot
 from .knots import codes_of as codes_of
-from .knots import diagram_of as diagram_of
 from .knots import knot_type as knot_type
 from .knots import possible_types as possible_types
-from .knots import shows as shows
-from .knots import type_of as type_of
 from .notation import dt_text as dt_text
 from .notation import parse_codes as parse_codes
 from .notation import parse_ropes as parse_ropes

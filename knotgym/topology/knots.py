@@ -30,6 +30,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from importlib.resources import files
 from itertools import combinations_with_replacement, product
+from typing import NamedTuple
 
 from knotgym.common import Failed, InvalidInput
 from knotgym.topology.diagrams import planar_codes, summands, with_chirality
@@ -106,29 +107,64 @@ def possible_types(code: GaussCode) -> list[str]:
     return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
 
 
-def shows(code: GaussCode, knot: str) -> bool:
-    """Return whether the code is of this knot and, if it has chirality, of this handedness.
+class Knot(NamedTuple):
+    """A knot of the table, its mirror image, or a sum of such.
 
-    The Jones polynomial decides the handedness. It can't for 9_42, 10_48, 10_71, 10_91, 10_104 and
-    10_125: there, both are accepted.
+    Attributes:
+        name: such as "3_1", "m3_1" or "m4_1#3_1", which fixes the handedness.
 
-    Args:
-        code: a planar code.
-        knot: a name as for `diagram_of`.
-
-    Raises:
-        InvalidInput: no closed curve shows the code.
+    Raises (where the table is needed):
         InvalidInput: the table has no such knot.
-
-    >>> shows(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"), "m3_1")
-    False
     """
-    if type_of(knot) == UNKNOT:
-        return _is_unknot(code)
-    # the type first: it is cached by code, and a Jones polynomial is dear
-    if knot_type(code) != type_of(knot):
-        return False
-    return code.chirality is None or jones_polynomial(code) == jones_polynomial(diagram_of(knot))
+
+    name: str
+
+    @property
+    def type(self) -> str:
+        """The type: without handedness, summands in order of the table.
+
+        >>> Knot("m4_1#3_1").type
+        '3_1#4_1'
+        """
+        return _composite_type([name for _, name in _summands(self.name)])
+
+    @property
+    def diagram(self) -> GaussCode:
+        """A minimal diagram, with chirality.
+
+        >>> Knot("m3_1").diagram.chiral
+        '1+a,2-a,3+a,1-a,2+a,3-a'
+        """
+        return _diagram_of(self.name)
+
+    def diagrams(self) -> list[GaussCode]:
+        """List the codes of `diagram` from every base point, in both directions, from both sides.
+
+        All of them are of the same knot with the same handedness.
+        """
+        # seen from below, every crossing is switched and the picture is reflected
+        sides, rebased = _diagram_of(self.name), Symmetry.REVERSE | Symmetry.REBASE
+        found = {*images(sides, rebased), *images(sides.switched().reflected(), rebased)}
+        return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
+
+    def is_shown_by(self, code: GaussCode) -> bool:
+        """Return whether a planar code is of this knot and, if it has chirality, of its handedness.
+
+        The Jones polynomial decides the handedness. It can't for 9_42, 10_48, 10_71, 10_91, 10_104
+        and 10_125: there, both are accepted.
+
+        Raises:
+            InvalidInput: no closed curve shows the code.
+
+        >>> Knot("m3_1").is_shown_by(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))
+        False
+        """
+        if self.type == UNKNOT:
+            return _is_unknot(code)
+        # the type first: it is cached by code, and a Jones polynomial is dear
+        if knot_type(code) != self.type:
+            return False
+        return code.chirality is None or jones_polynomial(code) == jones_polynomial(self.diagram)
 
 
 @lru_cache(maxsize=32)
@@ -182,31 +218,11 @@ def _prime_diagrams() -> dict[str, GaussCode]:
 
 
 @lru_cache(maxsize=256)
-def diagram_of(knot: str) -> GaussCode:
-    """Return a minimal diagram of a knot, with chirality; the name fixes the handedness.
-
-    Raises:
-        InvalidInput: the table has no such knot.
-
-    >>> diagram_of("m3_1").chiral
-    '1+a,2-a,3+a,1-a,2+a,3-a'
-    """
+def _diagram_of(knot: str) -> GaussCode:
     found = [
         (mirror, _prime_diagrams()[name]) for mirror, name in _summands(knot) if name != UNKNOT
     ]
     return connected_sum([code.switched() if mirror else code for mirror, code in found])
-
-
-def type_of(knot: str) -> str:
-    """Return the type of a named knot: without handedness, summands in order of the table.
-
-    Raises:
-        InvalidInput: the table has no such knot.
-
-    >>> type_of("m4_1#3_1")
-    '3_1#4_1'
-    """
-    return _composite_type([name for _, name in _summands(knot)])
 
 
 def _composite_type(types: list[str]) -> str:
@@ -217,17 +233,6 @@ def _composite_type(types: list[str]) -> str:
     """
     proper = [name for name in types if name != UNKNOT]
     return "#".join(sorted(proper, key=_rank)) or UNKNOT
-
-
-def based_diagrams(code: GaussCode) -> list[GaussCode]:
-    """List a diagram's codes from every base point, in both directions, from above and from below.
-
-    All of them are of the same knot with the same handedness.
-    """
-    # seen from below, every crossing is switched and the picture is reflected
-    sides = code, code.switched().reflected()
-    found = {image for side in sides for image in images(side, Symmetry.REVERSE | Symmetry.REBASE)}
-    return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
 
 
 def _table_type(code: GaussCode) -> str | None:

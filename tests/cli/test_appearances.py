@@ -9,10 +9,10 @@ from pytest_types import Patch
 
 from knotgym.cli.options import field_help
 from knotgym.common import InvalidInput
-from knotgym.control import dataset_faults
 from knotgym.datasets import decode, read_rows
 from knotgym.envs import TaskConfig
 from knotgym.generate import ImagesConfig, make_images
+from knotgym.generate import faults as dataset_faults
 from knotgym.rendering import (
     APPEARANCES,
     CAMERAS,

@@ -193,7 +193,7 @@ def test_help_and_version_are_shown_with_status_0(words: str, capfd: Capture) ->
 def test_no_help_imports_the_simulator() -> None:
     code = """
 import sys
-from knotgym.cli import application, commands
+from knotgym.cli.program import application, commands
 for words in ([], *([name] for name in commands()), ["dataset", "page"]):
     application()([*words, "--help"], result_action="return_value")
 print(*sys.modules, file=sys.stderr)

@@ -12,7 +12,7 @@ from pytest_types import Patch
 from synthetic_episodes import TASK, episodes, written
 
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Table, sha256
-from knotgym.datasets import RECORDED, Episodes, locate
+from knotgym.datasets import Episodes, locate
 from knotgym.datasets.episode_dataset import (
     _digests_of,
     columns_of,
@@ -20,6 +20,7 @@ from knotgym.datasets.episode_dataset import (
     open_episodes,
     write_episodes,
 )
+from knotgym.datasets.episodes import RECORDED
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import quantized
 

@@ -12,12 +12,12 @@ from pytest_types import Capture, Patch
 
 import knotgym
 from knotgym.common import InvalidFile, read_json
-from knotgym.control import dataset_faults
 from knotgym.datasets import cards
 from knotgym.datasets import manifest as manifests
 from knotgym.datasets.episode_verification import ReplayFault
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.manifest import listed_faults, machine, read_manifest
+from knotgym.generate import faults as dataset_faults
 from knotgym.states import States
 
 from ..small_job import knotgym as typed

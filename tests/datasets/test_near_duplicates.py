@@ -29,7 +29,7 @@ def moved(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("seed", range(8))
 def test_a_symmetry_is_no_distance(seed: int) -> None:
     hidden = np.stack([moved(one, seed + k) for k, one in enumerate(STATES)])
-    apart, row = states.nearest(hidden, STATES)
+    apart, row = states.Spectra.of(hidden).nearest(states.Spectra.of(STATES))
     assert apart.max() < 1e-7 and row.tolist() == list(range(len(STATES)))
 
 
@@ -42,10 +42,14 @@ def test_the_distance_is_the_least_over_every_symmetry(mirrors: bool) -> None:
         for reflect, switch in product(flips, flips)
         for reverse, shift in product((False, True), range(100))
     ]
-    least = pytest.approx(states.distances(STATES[0], np.stack(every)).min())
+    turned = states.Spectra.of(STATES[:1]).turned_distances(states.Spectra.of(np.stack(every)))
+    least = pytest.approx(turned.min())
     assert one.pair_distances(other, mirrors=mirrors)[0] == least
     assert other.pair_distances(one, mirrors=mirrors)[0] == least
-    assert not mirrors or states.nearest(STATES[:1], STATES[[11]])[0][0] == least
+    assert (
+        not mirrors
+        or states.Spectra.of(STATES[:1]).nearest(states.Spectra.of(STATES[[11]]))[0][0] == least
+    )
 
 
 def test_no_distance_is_below_its_bound() -> None:

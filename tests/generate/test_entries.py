@@ -15,8 +15,9 @@ from knotgym.common import InvalidFile, KnotgymError, Table
 from knotgym.control import PolicyConfig
 from knotgym.datasets import EpisodeDataset, Episodes, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate import EvaluateConfig, Result, compare, evaluate, read_entry, verify
+from knotgym.generate import EvaluateConfig, compare, evaluate, read_entry, verify
 from knotgym.generate.entries import Entry
+from knotgym.generate.results import Result
 from knotgym.runs import RunOptions
 
 from ..small_job import knotgym

@@ -14,8 +14,8 @@ import pytest
 from pytest_types import Capture, Patch
 
 from knotgym.common import Failed, InvalidFile, InvalidInput
-from knotgym.control import dataset_faults
 from knotgym.datasets import PictureRow, decode, drawn_table, parquet, read_rows, read_table, shards
+from knotgym.generate import faults as dataset_faults
 from knotgym.generate.generate_config import ImagesConfig
 from knotgym.generate.image_recipe import _shown, _symmetry_of, make_images
 from knotgym.loaders import images as load
@@ -23,7 +23,7 @@ from knotgym.quality import Limits, base_spacing, grade_of, measure
 from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs import RunOptions
-from knotgym.states import IMAGE_SPLITS, NEAR, distances, read_states, shipped
+from knotgym.states import IMAGE_SPLITS, NEAR, Spectra, read_states, shipped
 from knotgym.topology import GaussCode, Symmetry, canonical, find_crossings, label
 
 from ..small_job import knotgym
@@ -67,7 +67,8 @@ def test_pictures_are_as_many_as_asked_for_show_their_codes_and_differ(
     points = np.reshape([row["points"] for row in rows], (CONFIG.count, -1, 3))
     for k, row in enumerate(rows):
         assert label(points[k]).chiral == row["gauss_code_chiral"]
-        assert not k or distances(points[k], points[:k]).min() >= NEAR
+    apart = Spectra.of(points).turned_distances(Spectra.of(points))
+    assert apart[np.triu_indices(len(points), 1)].min() >= NEAR
     assert list(dataset_faults(folder)) == []
 
 

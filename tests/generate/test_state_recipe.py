@@ -13,8 +13,8 @@ import pytest
 from pytest_types import Patch
 
 from knotgym.common import Failed, Stream, from_json
-from knotgym.control import dataset_faults
 from knotgym.generate import drawing_source, generate_config, state_recipe
+from knotgym.generate import faults as dataset_faults
 from knotgym.generate.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.play_source import PhasedPulls, rows_of_ropes

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets import locate, summary
 from knotgym.rope import Rope
-from knotgym.states.near_duplicates import distances, spread_of
+from knotgym.states.near_duplicates import Spectra, spread_of
 from knotgym.states.state_file import read_states
 from knotgym.topology import Symmetry
 
@@ -54,5 +54,6 @@ def test_the_card_has_the_spread_of_every_nx() -> None:
     rows = summary(locate("readable"))[1]["spread"].rows
     assert [row[0] for row in rows] == [0, 1, 2, 3, 4]
     loops = states.points[states.nx == 0]
-    least = 1000 * min(distances(one, loops[k + 1 :]).min() for k, one in enumerate(loops[:-1]))
+    apart = Spectra.of(loops).turned_distances(Spectra.of(loops))
+    least = 1000 * apart[np.triu_indices(len(loops), 1)].min()
     assert str(rows[0][1]).endswith(f" / {round(least, 1):.3g}")

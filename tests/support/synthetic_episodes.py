@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Table
-from knotgym.datasets import EPISODES, STEPS, Episodes, write_episodes
+from knotgym.datasets import STEPS, Episodes, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.topology import GaussCode
 
@@ -42,7 +42,8 @@ def episodes(
     shown = rng.integers(len(CODES), size=rows) if codes is None else codes
     read = [GaussCode.parse(CODES[k]) for k in shown]
     goals = [GaussCode.parse(CODES[k]) for k in rng.integers(len(CODES), size=count)]
-    own, steps = EPISODES.sized(**sizes).empty(count), STEPS.sized(**sizes).empty(rows)
+    schemas = Episodes.schema_beside(STEPS).sized(**sizes), STEPS.sized(**sizes)
+    own, steps = schemas[0].empty(count), schemas[1].empty(rows)
     own |= {
         "policy": np.full(count, policy),
         "goal_visits": code_rows(goals, sizes["visits"]),
@@ -72,7 +73,6 @@ def episodes(
     for name in ("bead", "force", "action", "reward", "applied_fraction"):
         steps[name][last] = 0
     steps["truncated"][last - 1] = True
-    schemas = EPISODES.sized(**sizes), STEPS.sized(**sizes)
     return Episodes(Table(schemas[0], own), Table(schemas[1], steps))
 
 

@@ -12,15 +12,7 @@ from knotgym.common import InvalidInput
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import faces, is_planar
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import (
-    _is_unknot,
-    _prime_diagrams,
-    based_diagrams,
-    diagram_of,
-    knot_type,
-    shows,
-    type_of,
-)
+from knotgym.topology.knots import Knot, _is_unknot, _prime_diagrams, knot_type
 from knotgym.topology.notation import _from_dt
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial
 from knotgym.topology.reidemeister import connected_sum, is_alternating, simplify, without_bigons
@@ -127,7 +119,7 @@ def test_random_unknot_diagrams_are_recognised(seed: int, moves: int) -> None:
 def test_moves_change_neither_the_name_nor_the_polynomials(seed: int) -> None:
     rng = np.random.default_rng(seed)
     name = SMALL[int(rng.integers(len(SMALL)))]
-    code = diagram_of(name)
+    code = Knot(name).diagram
     tangled = moved(code, rng, 4)
     assert is_planar(tangled) and knot_type(tangled) == name
     assert jones_polynomial(tangled) == jones_polynomial(code)
@@ -198,35 +190,36 @@ def test_every_diagram_is_named_as_itself_from_any_base_and_in_the_mirror() -> N
 
 
 def test_a_name_means_one_hand_and_m_the_other() -> None:
-    right, left = (jones_polynomial(diagram_of(name)) for name in ("3_1", "m3_1"))
+    right, left = (jones_polynomial(Knot(name).diagram) for name in ("3_1", "m3_1"))
     assert right == ((1, 1), (3, 1), (4, -1)) and left == ((-4, -1), (-3, 1), (-1, 1))
-    one, other = diagram_of("8_19"), diagram_of("m8_19")
+    one, other = Knot("8_19").diagram, Knot("m8_19").diagram
     assert dict(jones_polynomial(other)) == {-k: value for k, value in jones_polynomial(one)}
-    assert shows(one, "8_19") and not shows(one, "m8_19") and shows(one.plain, "m8_19")
-    assert shows(diagram_of("4_1"), "m4_1")  # which is its own mirror image
+    assert Knot("8_19").is_shown_by(one) and not Knot("m8_19").is_shown_by(one)
+    assert Knot("m8_19").is_shown_by(one.plain)
+    assert Knot("m4_1").is_shown_by(Knot("4_1").diagram)  # which is its own mirror image
 
 
 def test_the_granny_is_told_from_the_square_knot() -> None:
-    granny, square = diagram_of("3_1#3_1"), diagram_of("3_1#m3_1")
+    granny, square = Knot("3_1#3_1").diagram, Knot("3_1#m3_1").diagram
     assert knot_type(granny) == knot_type(square) == "3_1#3_1"
-    assert shows(granny, "3_1#3_1") and not shows(square, "3_1#3_1")
-    assert shows(square, "m3_1#3_1")
+    assert Knot("3_1#3_1").is_shown_by(granny) and not Knot("3_1#3_1").is_shown_by(square)
+    assert Knot("m3_1#3_1").is_shown_by(square)
 
 
 @pytest.mark.parametrize("name", ["3_1#4_1", "10_25#3_1", "m8_20#m3_1", "4_1#5_2"])
 def test_a_sum_is_named_by_its_summands_in_order(name: str) -> None:
-    assert knot_type(diagram_of(name)) == type_of(name)
-    assert type_of("10_25#3_1") == "3_1#10_25"
+    assert knot_type(Knot(name).diagram) == Knot(name).type
+    assert Knot("10_25#3_1").type == "3_1#10_25"
 
 
 def test_a_diagram_from_every_base_keeps_its_hand() -> None:
-    found = based_diagrams(diagram_of("7_3"))
+    found = Knot("7_3").diagrams()
     draw = np.random.default_rng(0).integers(len(found), size=3)
-    assert len(found) > 7 and all(shows(found[k], "7_3") for k in draw)
+    assert len(found) > 7 and all(Knot("7_3").is_shown_by(found[k]) for k in draw)
 
 
 @pytest.mark.parametrize("name", ["9_50", "10_166", "trefoil", "", "3_1#", "mm3_1", "11a_1"])
 def test_a_knot_that_is_not_in_the_table_is_one_line(name: str) -> None:
     with pytest.raises(InvalidInput, match="3_1 to 10_165") as caught:
-        diagram_of(name)
+        _ = Knot(name).diagram
     assert "\n" not in str(caught.value)

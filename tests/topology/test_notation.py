@@ -15,7 +15,7 @@ from knotgym.common import InvalidInput
 from knotgym.states import read_states, shipped
 from knotgym.topology.diagrams import _walked, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import _prime_diagrams, diagram_of, knot_type
+from knotgym.topology.knots import Knot, _prime_diagrams, knot_type
 from knotgym.topology.notation import (
     _from_dt,
     _from_pd,
@@ -189,7 +189,7 @@ def require_same_abroad(code: GaussCode, knot: str) -> None:
     if knot == "0_1":
         assert not link.crossings
     else:
-        own = spherogram.Link(pd_code(diagram_of(knot))).knot_floer_homology()["ranks"]
+        own = spherogram.Link(pd_code(Knot(knot).diagram)).knot_floer_homology()["ranks"]
         assert link.knot_floer_homology()["ranks"] in (own, mirrored(own))
 
 

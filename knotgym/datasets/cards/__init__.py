@@ -23,7 +23,7 @@ from knotgym.datasets.image_table import file_stem, marks_base, measures_of, rea
 from knotgym.datasets.manifest import read_manifest, write_manifest
 from knotgym.quality import GRADES
 from knotgym.rendering import APPEARANCES
-from knotgym.states import IMAGE_SPLITS, SOURCES, SPLITS, STATE_SPLITS, States, nearest, read_states
+from knotgym.states import IMAGE_SPLITS, SOURCES, SPLITS, STATE_SPLITS, Spectra, States, read_states
 from knotgym.topology import GaussCode
 
 if TYPE_CHECKING:
@@ -296,7 +296,8 @@ def _overlap(states: States, nx: int) -> tuple[object, ...]:
     )
     every, near = np.flatnonzero([SPLITS[one].trains for one in states.split]), "-"
     if len(test) and len(every):
-        near = f"{1000 * nearest(states.points[test], states.points[every])[0].min():.1f}"
+        apart, _ = Spectra.of(states.points[test]).nearest(Spectra.of(states.points[every]))
+        near = f"{1000 * apart.min():.1f}"
     shared = [sum(one in {*seen} for one in own) for own, seen in zip(asked, known, strict=True)]
     return nx, len(test), *shared, near
 

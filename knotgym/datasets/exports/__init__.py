@@ -3,14 +3,14 @@
 A new format is a function `(source, target, replay) -> summary` and a record in EXPORTS.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from knotgym.common import Counts, InvalidInput, atomic_write, names_apart, require_output
+from knotgym.common import Counts, InvalidInput, atomic_write, require_output
 
 if TYPE_CHECKING:
     from knotgym.datasets.episode_verification import Replay
@@ -58,7 +58,7 @@ def _write_files(
     datasets, size = [open_episodes(path) for path in source.episodes], 0
     ends = [path.with_suffix("") if path.is_file() else path for path in source.episodes]
     # by the ends of their ids, such as tie-nx3-demonstrations-v0
-    pairs = zip(names_apart(ends, "-", least=2), datasets, strict=True)
+    pairs = zip(_names_apart(ends), datasets, strict=True)
     for name, one in Counts.over(pairs, "writing datasets", len(datasets)):
         kept = {name: one.attributes[name] for name in {"expansion"} & one.attributes.keys()}
         if not whole:
@@ -71,6 +71,20 @@ def _write_files(
     episodes = sum(one.episodes.episodes.rows for one in datasets)
     files = f" in {len(datasets)} files" if target.is_dir() else ""
     return f"{episodes} episodes{files}, {size / 1e6:.1f} MB"
+
+
+def _names_apart(paths: Sequence[Path]) -> list[str]:
+    """Name paths by the fewest of their last parts that tell them apart, also where case doesn't.
+
+    >>> _names_apart([Path("alice/tie/x-v0"), Path("bob/tie/x-v0")])
+    ['alice-tie-x-v0', 'bob-tie-x-v0']
+    """
+    parts = [path.absolute().parts for path in paths]
+    for count in range(2, max(map(len, parts)) + 1):
+        names = ["-".join(own[-count:]) for own in parts]
+        if len({name.casefold() for name in names}) == len(names):
+            return names
+    raise InvalidInput(f"names can't tell {', '.join(map(str, paths))} apart; rename one")
 
 
 _PLAYED, _PICTURES = f"{_HERE}.episode_exports", f"{_HERE}.picture_exports"

@@ -8,7 +8,7 @@ from knotgym.rope.chain.chain_simulation import _WEIGHT, ChainSimulation, _physi
 from knotgym.rope.closed_curves import clearance
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.topology import UNKNOT, find_crossings, knot_type, label, label_many, shows
+from knotgym.topology import UNKNOT, Knot, find_crossings, knot_type, label, label_many
 
 from ...conftest import curled, trefoil
 
@@ -100,7 +100,7 @@ def test_strands_pulled_through_each_other_stay_apart(rope: Rope, curls: Array) 
         crossings = find_crossings(chain.points[0])
         bead = int(crossings.over_place[0]) % 100 if crossings.nx else 0
         chain.step([bead], np.array([[0.0, 0.0, -0.2]]))
-        assert shows(label(chain.points[0]), UNKNOT)
+        assert Knot(UNKNOT).is_shown_by(label(chain.points[0]))
         assert clearance(chain.points[0], 1.0) > 0.002
 
 
@@ -111,7 +111,7 @@ def test_random_play_keeps_the_knot_and_the_length_of_edges(rope: Rope, curls: A
     for beads, forces in pulls(6, 40, seed=3):
         chain.step(beads, np.sign(forces) * 0.2)
         codes = label_many(chain.points)
-        assert all(shows(code, UNKNOT) for code in codes[:5]) and knot_type(codes[5]) == "3_1"
+        assert all(map(Knot(UNKNOT).is_shown_by, codes[:5])) and knot_type(codes[5]) == "3_1"
         assert (chain.applied_shares == 1).all()
         assert np.abs(lengths(chain.points) / LENGTH - 1).max() < 1e-3
 
