@@ -28,6 +28,7 @@ from .image_table import shards as shards
 from .located import locate as locate
 from .located import try_files as try_files
 from .manifest import machine as machine
+from .merging import merge as merge
 from .minari_form import MinariMetadata as MinariMetadata
 from .minari_form import loading_lines as loading_lines
 from .minari_form import publish as publish
@@ -35,6 +36,5 @@ from .page import write_page as write_page
 from .row_verification import faults as faults
 from .subsets import delete as delete
 from .subsets import kept as kept
-from .subsets import merge as merge
 from .subsets import select as select
 from .subsets import split as split

@@ -1,10 +1,7 @@
-"""Select, split, delete and merge rows of datasets: states, episodes or pictures.
+"""Select, split and delete rows of datasets: states, episodes or pictures.
 
 The result is a file of rows: a state file, an episode file or a Parquet file. It has under
 "selection" the sources and the conditions. Pictures and pulls are copied, not made again.
-`merge` makes a Minari dataset of files of episodes. Shards of a run aren't merged here: their
-journals are, by running again.
-
 Conditions are SQL, such as `nx = 3 and success and length < 30`. polars evaluates them on a table
 of the columns and nothing else: a condition that contains a query, by which SQL could read files,
 is refused before it is parsed. As in polars, division by zero is infinite, and NaN is no value.
@@ -13,7 +10,6 @@ is refused before it is parsed. As in polars, division by zero is infinite, and 
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,48 +19,25 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common import (
     Array,
-    Counts,
     Ids,
     InvalidFile,
     InvalidInput,
     MissingExtra,
     Stream,
     atomic_write,
-    by_name,
     one_line,
-    require_output,
     sha256,
 )
 from knotgym.datasets import image_table
-from knotgym.datasets.episode_dataset import (
-    STATES_DIGEST,
-    EpisodeDataset,
-    joined_task,
-    open_episodes,
-    require_alike,
-    write_episodes,
-)
-from knotgym.datasets.episode_verification import shared_faults
+from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.located import locate
-from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish, require_file
-from knotgym.envs import TaskConfig, task_sides
-from knotgym.states import (
-    States,
-    families,
-    is_bundled,
-    merge_states,
-    minari_root,
-    read_states,
-    repeated,
-    resolve,
-    write_states,
-)
+from knotgym.datasets.minari_form import require_file
+from knotgym.states import States, families, read_states, resolve, write_states
 
 _RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")
 _PART = re.compile(r"([A-Za-z0-9_]+)=([0-9]{0,9}\.?[0-9]{1,9})")
 _LONGEST = 2000  # characters
-_SCORES = ("ref_min_score", "ref_max_score", "num_episodes_average_score")  # of the metadata
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
 _QUERY = re.compile(r"\b(select|from)\b", re.IGNORECASE)
 
@@ -94,7 +67,7 @@ def select(
         InvalidInput: no row is left, or fewer than `sample` are.
         Occupied: the output exists.
     """
-    given = _opened(source)
+    given = opened(source)
     chosen = _matching_rows(where, given.columns()) if where else np.ones(given.size, dtype=bool)
     rows = np.flatnonzero(chosen)
     if sample is not None:
@@ -119,7 +92,7 @@ def delete(source: str | Path, rows: str, out: str | Path, *, overwrite: bool = 
         InvalidInput: there is no such row, or none would be left.
         Occupied: the output exists.
     """
-    given = _opened(source)
+    given = opened(source)
     left = np.ones(given.size, dtype=bool)
     for word in rows.split(","):
         found = _RANGE.fullmatch(word)
@@ -153,7 +126,7 @@ def split(
         Occupied: an output exists.
     """
     shares, whole = _shares(parts), Path(out)
-    given = _opened(source)
+    given = opened(source)
     together = _groups(given.shared())
     dealt = _dealt(together, [*shares.values()], Stream.SELECTION.generator(seed, 1))
     if len(set(dealt.tolist())) < len(shares):
@@ -169,68 +142,11 @@ def split(
     return [whole.with_name(name) for name in names]
 
 
-def merge(
-    given: Sequence[str], out: Path | None = None, dataset_id: str = "", overwrite: bool = False
-) -> str:
-    """Merge datasets that share no row; return a one-line summary.
-
-    Args:
-        given: paths or ids, of states or of episodes.
-        out: the file to write; with `dataset_id` the Minari root.
-        dataset_id: for episodes, the id of a Minari dataset to write.
-        overwrite: replace what is there.
-
-    Raises:
-        MissingFile: one of them doesn't exist.
-        InvalidInput: they are of different kinds, ropes, engines, splits or states, or share a row.
-        Occupied: the output exists, and `overwrite` is False.
-    """
-    if not given:
-        raise InvalidInput("nothing to merge: give at least one dataset")
-    found, sources = [_opened(name).data for name in given], [resolve(name) for name in given]
-    states = [one for one in found if isinstance(one, States)]
-    datasets = [one for one in found if isinstance(one, EpisodeDataset)]
-    if len(given) not in (len(states), len(datasets)):
-        kinds = ", ".join(locate(name).kind for name in given)
-        raise InvalidInput(f"datasets to merge are all of states or all of episodes, got {kinds}")
-    if dataset_id:
-        if states:
-            raise InvalidInput("an id is for episodes; give --out for states")
-        folder = Path(out or minari_root()) / dataset_id
-        require_output(folder, folder=True, overwrite=overwrite, reads=sources)
-    elif out is None:
-        raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
-    else:
-        require_file(out, sources, overwrite)
-    if states and out:
-        merged = merge_states(states, distinct=True)
-        rows = range(len(merged))
-        for fault in shared_faults(merged.points, merged.split, rows, rows):
-            raise InvalidInput(f"merged, {fault}; leave one out, see `knotgym dataset delete`")
-        with atomic_write(out, overwrite=overwrite) as temporary:
-            write_states(temporary, merged)
-        return f"{out}: {len(merged)} states"
-    task, engine = _joint_task(datasets), _one_engine(datasets)
-    parts = [one.episodes for one in datasets]
-    _require_distinct(datasets)
-    kept = datasets[0].facts
-    facts = kept if len(datasets) == 1 else {k: v for k, v in kept.items() if k == STATES_DIGEST}
-    facts = {**facts, "engine": engine}
-    if dataset_id:
-        about, carried = _metadata(datasets, dataset_id), _states(datasets[0])
-        made = publish(parts, task, about, out, states=carried, facts=facts, overwrite=overwrite)
-    elif out:
-        made = out
-        with atomic_write(out, overwrite=overwrite) as temporary:
-            write_episodes(temporary, parts, task, facts)
-    return f"{made}: {sum(one.episodes.rows for one in parts)} episodes"
-
-
 def kept(path: Path, first: Path | None = None) -> str:
     """Say how many rows of its source a selected dataset has; of a part of a split also how many
     states it shares with the `first` part.
     """
-    rows = _opened(path)
+    rows = opened(path)
     said = f"{rows.earlier[-1]['kept']} of {rows.earlier[-1]['rows']} rows"
     if first is None or first == path or not isinstance(rows.data, EpisodeDataset):
         return said
@@ -267,7 +183,7 @@ class _Rows(NamedTuple):
     write: Callable[[Ids, list[Any], Path], Any]
 
 
-def _opened(source: str | Path) -> _Rows:
+def opened(source: str | Path) -> _Rows:
     """Open a dataset by its path, name or id.
 
     Raises:
@@ -483,69 +399,3 @@ def _compares_truth(expression: Any, frame: Any) -> bool:
 
 def _refused(text: str, why: str) -> InvalidInput:
     return InvalidInput(one_line(f"not a condition, {text[:200]!r}: {why}"))
-
-
-def _states(dataset: EpisodeDataset) -> Path | None:
-    """Return the state file that a dataset of these episodes must include; None if bundled."""
-    return None if is_bundled(dataset.task.states) else dataset.states_path()
-
-
-def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
-    """Return the task that draws from those of all datasets; refuse what can't be joined.
-
-    Tasks and nx may differ, and state files may have different names.
-    """
-    require_alike(datasets, _facts)
-    first = datasets[0]
-    joint = joined_task([one.task for one in datasets])
-    if joint != first.task:  # its environment can be made
-        task_sides(replace(joint, states=str(first.states_path())))
-    return joint
-
-
-def _facts(dataset: EpisodeDataset) -> dict[str, object]:
-    states = _states(dataset)
-    settings = {n: v for n, v in vars(dataset.task).items() if n not in ("task", "nx", "states")}
-    return settings | {
-        "rope model": dataset.attributes.get("rope"),
-        "form": dataset.attributes["form"],
-        "state file, by its SHA-256": sha256(states) if states else dataset.task.states,
-    }
-
-
-def _one_engine(datasets: Sequence[EpisodeDataset]) -> str | None:
-    """Return the digest of the engine that made all datasets; None if one doesn't say it."""
-    said = {one.path: one.attributes.get("engine") for one in datasets}
-    digests = {str(one): path for path, one in said.items() if one is not None}
-    if len(digests) > 1:
-        which = ", ".join(f"{path} {digest}" for digest, path in digests.items())
-        raise InvalidInput(one_line(f"engines that do otherwise made these datasets: {which}"))
-    return None if None in said.values() else next(iter(digests))
-
-
-def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
-    """Refuse two episodes with the same start, goal and pulls."""
-    every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
-    told = Counts.over(datasets, "comparing episodes of datasets")
-    for pair in repeated(digest for one in told for digest in one.episodes.digests()):
-        first, second = (f"episode {every[k][1]} of {every[k][0].path}" for k in pair)
-        raise InvalidInput(f"{first} and {second} are the same; merge sets that share no episode")
-
-
-def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMetadata:
-    """Join the metadata of datasets; equal reference scores are those of the whole."""
-    known = [metadata for one in datasets if (metadata := metadata_of(one))]
-    policies = {str(name) for one in datasets for name in one.episodes.episodes["policy"]}
-    described = [f"Merged of {', '.join(one.name for one in datasets)}."]
-    described += [f"{one.dataset_id}: {one.description}" for one in known]
-    scores = [{name: getattr(one, name) for name in _SCORES} for one in known]
-    is_one = len(scores) == len(datasets) and all(one == scores[0] for one in scores)
-    return MinariMetadata(
-        dataset_id=dataset_id,
-        algorithm_name=", ".join(sorted(policies)),
-        description="\n\n".join(described),
-        author=tuple({name for one in known for name in one.author}),
-        author_email=tuple({name for one in known for name in one.author_email}),
-        digests=by_name((one.dataset_id, one.digests) for one in known if one.digests),
-        **(scores[0] if is_one else {}),
-    )

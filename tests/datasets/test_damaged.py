@@ -16,7 +16,7 @@ from knotgym.cli import main
 from knotgym.common import InvalidFile
 from knotgym.datasets import columns_of, locate, open_episodes, write_episodes
 from knotgym.datasets.image_table import drawn_table, parquet, rows_of
-from knotgym.datasets.subsets import merge
+from knotgym.datasets.merging import merge
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 

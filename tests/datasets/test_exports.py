@@ -22,7 +22,8 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.exports import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located
-from knotgym.datasets.subsets import delete, merge
+from knotgym.datasets.merging import merge
+from knotgym.datasets.subsets import delete
 from knotgym.generate import verify
 from knotgym.states import read_states
 

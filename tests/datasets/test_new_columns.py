@@ -116,7 +116,7 @@ import knotgym
 from knotgym.control import make_policy, PolicyConfig, replay, rollouts, Pulls
 from knotgym.control.sampler import SimplePolicy
 from knotgym.datasets import export, merge, open_episodes, select, split, write_episodes
-from knotgym.datasets.subsets import MinariMetadata
+from knotgym.datasets import MinariMetadata
 from knotgym.envs import TaskConfig
 
 class Likely:

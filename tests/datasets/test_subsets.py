@@ -12,8 +12,9 @@ from synthetic_episodes import TASK, TINY, episodes, written
 import knotgym
 from knotgym.common import InvalidInput, MissingFile
 from knotgym.datasets import delete, open_episodes, select, split
+from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
-from knotgym.datasets.subsets import _matching_rows, _write_rows, kept, merge
+from knotgym.datasets.subsets import _matching_rows, _write_rows, kept
 from knotgym.loaders import arrays
 from knotgym.states import States, read_states, shipped, write_states
 
