@@ -14,9 +14,9 @@ from synthetic_pictures import picture_rows
 
 import knotgym
 from knotgym.common import InvalidFile, InvalidInput
-from knotgym.datasets import arrow, select
 from knotgym.datasets import image_table as tables
-from knotgym.datasets.image_table import decode, drawn_table, encode, read_rows, read_table
+from knotgym.datasets import select
+from knotgym.datasets.image_table import arrow, decode, drawn_table, encode, read_rows, read_table
 from knotgym.datasets.row_verification import _image_faults
 from knotgym.datasets.subsets import kept
 from knotgym.rendering import AppearanceConfig

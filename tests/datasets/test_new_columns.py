@@ -115,8 +115,9 @@ import h5py, numpy as np
 import knotgym
 from knotgym.control import make_policy, PolicyConfig, replay, rollouts, Pulls
 from knotgym.control.sampler import SimplePolicy
-from knotgym.datasets import export, merge, open_episodes, select, split, write_episodes
-from knotgym.datasets import MinariMetadata
+from knotgym.datasets import (
+    MinariMetadata, export, merge, open_episodes, select, split, write_episodes
+)
 from knotgym.envs import TaskConfig
 
 class Likely:
