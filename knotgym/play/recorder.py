@@ -26,6 +26,7 @@ from knotgym.control import replay
 from knotgym.datasets import EpisodeDataset, Episodes, MinariMetadata, open_episodes, publish
 from knotgym.envs import TaskConfig
 from knotgym.play.session import HandPull
+from knotgym.rope import ENGINES
 from knotgym.runs import RunOptions, identity, staged
 from knotgym.states import is_bundled, minari_root, resolve_states
 
@@ -166,6 +167,8 @@ class Recorder:
                 f"{self.folder} isn't a recording of this task with these settings: give another"
                 f" --id, or the settings that it has ({unlike or 'nobody pulled by hand'})"
             )
+        if unlike := ENGINES[self._task.engine].unlike(found.attributes.get("engine")):
+            raise InvalidFile(f"{self.folder} was recorded in {unlike}; give another --id")
         return set(found.episodes.episodes["seed"].tolist())
 
 

@@ -28,5 +28,5 @@ def test_old_files_are_read_verified_and_merged(tmp_path: Path) -> None:
     typed("collect", *task, "--policy", "random", "--episodes", 1, "--seed", 1, "--workers", 1,
           "--id", "a/b-v0", "--out", tmp_path, "--quiet")  # fmt: skip
     merge([str(labelled.path), str(tmp_path / "a/b-v0")], other)
-    assert knotgym.verify(other) == []
+    assert knotgym.verify(other) == [] and "engine" not in open_episodes(other).attributes
     assert arrays(other, observation="state")["actions"].shape[1] == 6

@@ -21,6 +21,7 @@ from knotgym.generate.episode_configs import SuiteConfig
 from knotgym.generate.suite import _describe_set, make_suite
 from knotgym.runs import RunOptions
 
+from ..fresh_interpreter import python
 from ..small_job import knotgym
 
 ID = "knotgym/unknot-nx2/{}-v0"
@@ -55,6 +56,29 @@ def test_ropes_of_wander_begin_at_starts_and_at_goals() -> None:
     assert sets[0].dataset_id == "knotgym/unknot-nx2/wander-chain-bench-100k-v0"
     sides = {one.task.tasks for one in sets}
     assert sides == {("unknot", "tie"), ("tie", "unknot"), ("convert", "unknot")}
+
+
+# a stranger adds to suite.toml a size, which isn't the default because it is first, and a tier
+TIERS = """
+import tomllib
+read = tomllib.loads
+tomllib.loads = lambda text: read(
+    text.replace("[bench.sizes]\\n", '[bench.sizes]\\n1k = { steps = 1_000, form = "columns" }\\n')
+    .replace('["random", "wander",', '["random", "scripted", "wander",')
+)
+from knotgym.generate import SuiteConfig
+sets = lambda **words: [*SuiteConfig(states=("bench",), **words).sets()]
+assert {one.steps for one in sets()} == {10_000} and len(sets()) == 70
+(one,) = sets(size="1k", policies=("scripted",), tasks=("unknot",), nx=(2,))
+print(one.dataset_id, one.steps, one.form)
+"""
+
+
+def test_a_tier_and_a_size_are_added_by_a_line_each() -> None:
+    made = python("-c", TIERS)
+    assert made.stdout == "knotgym/unknot-nx2/scripted-chain-bench-1k-v0 1000 columns\n", (
+        made.stderr
+    )
 
 
 def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path) -> None:
