@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.cli.program import shown
-from knotgym.common import Failed, InvalidFile, InvalidInput, atomic_write, require_output
+from knotgym.common import Failed, InvalidFile, InvalidInput, atomic_write, one_line, require_output
 from knotgym.control import replay
 from knotgym.datasets import in_words, locate, open_episodes, show_episodes, summary, try_files
 from knotgym.generate import claims, read_entry
@@ -162,7 +162,7 @@ def _print_table(
             parts.append([0])
         parts[-1].append(k)
     for part in parts:
-        head, *cells = ([str(row[k]) for k in part] for row in rows)
+        head, *cells = ([one_line(row[k]) for k in part] for row in rows)
         table = narrow_table(head, title=title if part is parts[0] else None, left=left)
         for row in cells:
             table.add_row(*row)

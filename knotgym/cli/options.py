@@ -140,7 +140,8 @@ def command(
             **values: Any,
         ) -> None:
             use_plugins(plugin or ())
-            _require_apart(values.get("out"), [settings, *words, *values.values()])
+            for one in ("out", "record", "video", "overlay"):
+                _require_apart(values.get(one), [settings, *words, *values.values()], one)
             mine = {one.name: values.pop(one.name) for one in own if one.name in values}
             typed = {name.replace("__", "."): value for name, value in values.items()}
             with Progress(quiet, lines=lines) as progress:
@@ -293,13 +294,13 @@ def field_help(kind: type, name: str) -> str:
     return ""
 
 
-def _require_apart(out: Any, values: Iterable[Any]) -> None:
-    """Raise Occupied if --out is a file or folder that something else that was typed names."""
+def _require_apart(out: Any, values: Iterable[Any], name: str) -> None:
+    """Raise Occupied if an output is a file or folder that something else that was typed names."""
     texts = (text for one in values for text in (one if isinstance(one, list) else [one]))
-    for text in texts if out is not None and os.path.exists(out) else ():
+    for text in texts if isinstance(out, Path) and os.path.exists(out) else ():
         if text is not out and isinstance(text, (str, Path)) and os.path.exists(text):
             if os.path.samefile(text, out):
-                raise Occupied(f"--out {out} is what the command reads; choose another")
+                raise Occupied(f"--{name} {out} is what the command reads; choose another")
 
 
 def _read_value(value: Any, hint: Any, name: str) -> Any:

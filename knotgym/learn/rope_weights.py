@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.common import InvalidFile, InvalidInput, MissingFile, atomic_write
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    MissingFile,
+    atomic_write,
+    require_apart,
+    require_output,
+)
 from knotgym.learn.card import ROPE_READER, policy_folder
 from knotgym.learn.checkpoint import load_network, save_network
 from knotgym.learn.train_config import ReadConfig
@@ -97,19 +104,24 @@ def read_photos(
     Raises:
         InvalidInput: there are no pictures, or `out` is named otherwise.
         MissingFile: there is no such file.
-        Occupied: `out` exists.
+        Occupied: `out` or an overlay exists, or would replace a photo.
     """
     files = _pictures(photos)
     if out is not None and out.suffix not in (".json", ".csv"):
         raise InvalidInput(f"--out must end in .json or .csv, got {out}")
+    drawn = [None if overlays is None else overlays / name for name in _names(files)]
+    require_apart(out, overlays)
+    for one in filter(None, drawn):  # a photo may lie there
+        replaces = options.overwrite or options.resume
+        require_output(one, folder=False, overwrite=replaces, reads=files)
     if overlays is not None:
         overlays.mkdir(parents=True, exist_ok=True)
     rows = list[dict[str, Any]]()
 
     def _recipe(place: Path | None) -> Recipe[str]:
         calls = [
-            Call(f"photos {k}", _read, (path, config, overlays and overlays / name))
-            for k, (path, name) in enumerate(zip(files, _names(files), strict=True))
+            Call(f"photos {k}", _read, (path, config, shown))
+            for k, (path, shown) in enumerate(zip(files, drawn, strict=True))
         ]
         rows.extend([json.loads(bytes(result["row"])) for result in (yield calls)])
         if place is not None:

@@ -339,7 +339,7 @@ class Film:
 def _encode(
     av: Any, path: Path, frames: Sequence[Array], encoder: str, options: dict[str, str]
 ) -> None:
-    with av.open(str(path), "w") as film:
+    with av.open(f"file:{path}", "w") as film:  # what stands before a colon would be a protocol
         stream = film.add_stream(encoder, rate=FRAMES_PER_SECOND, options=options)
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"  # the only pixel format that all browsers play

@@ -28,6 +28,7 @@ from knotgym.generate import verify
 from knotgym.states import read_states
 
 from ..fresh_interpreter import python
+from ..small_job import knotgym
 
 EXPERT = str(TINY["expert"])
 ID = "knotgym/tie-nx2/tiny-v0"
@@ -186,6 +187,17 @@ HOSTILE = (
     '<img src=x onerror=y>"\n---\n# [a](javascript:b) ![c](http://d) `e` | www.f @g $h$ *i* \ud800'
 )
 MARKUP = ("<img", "\n---\n# [", "[a](", "![c]", "http://d", " `e`", " | www", "www.f", "@g", " *i*")
+
+
+def test_a_summary_sends_no_command_to_a_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """JSON has escapes of its own, so that a file without control characters may spell some."""
+    facts = {"metadata": {"dataset_id": "a/b-v0", "author": ["Eve\x1b[2J"]}}
+    write_episodes(tmp_path / "e.h5", [episodes([2])], TASK, facts)
+    assert knotgym("dataset", "show", tmp_path / "e.h5") == 0
+    said = capsys.readouterr().out
+    assert "Eve" in said and "\x1b" not in said
 
 
 def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:

@@ -132,6 +132,15 @@ def test_what_evaluate_writes_does_not_depend_on_how_it_is_run(tmp_path: Path) -
     assert {name: len({*some}) for name, some in made.items()} == dict.fromkeys(made, 1)
 
 
+def test_no_output_replaces_the_settings(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(text := "[task]\nhorizon = 2\n")
+    words = "--nx 1 --engine chain --policy random --episodes 1 --overwrite --settings".split()
+    with contextlib.chdir(tmp_path):
+        for name in ("--out", "--record", "--video"):
+            assert knotgym("evaluate", *words, "s.toml", name, "s.toml") == 2
+    assert (tmp_path / "s.toml").read_text() == text
+
+
 def test_policies_of_one_name_have_a_row_each() -> None:
     noisy = tuple(PolicyConfig(policy="noisy", noise=one) for one in (0.9, 1.0))
     results = evaluate(replace(config(episodes=1), policies=noisy), QUIET)

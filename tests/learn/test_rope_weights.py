@@ -53,6 +53,10 @@ def test_photos_are_read_into_json_and_csv(
     assert "a.png: closed rope, 2 crossings, 0_1:" in capsys.readouterr().out
     assert read_photo(wire).row == {name: rows[1][name] for name in rows[1] if name != "file"}
 
+    whole = (photos / "a.png").read_bytes()
+    for more in ((), ("--overwrite",)):  # the overlay of a.png would be a.png
+        assert command(photos, "--overlay", photos, *more) == 2
+    assert (photos / "a.png").read_bytes() == whole and command(photos, "--overlay", seen) == 2
     assert command(photos / "b.jpg", "--out", json_file) == 2  # it exists
     assert command(photos / "b.jpg", photos / "c.png", "--out", tmp_path / "codes.csv") == 0
     with (tmp_path / "codes.csv").open(newline="") as file:

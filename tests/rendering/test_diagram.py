@@ -80,7 +80,7 @@ FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 
 
 
 @pytest.mark.parametrize(
-    ("name", "codec"), [("a.gif", ""), ("a.mp4", "h264"), ("a.webm", "vp9"), ("a.MP4", "h264")]
+    ("name", "codec"), [("a.gif", ""), ("a.mp4", "h264"), ("a.webm", "vp9"), ("a:b.MP4", "h264")]
 )
 def test_a_film_shows_its_frames_at_the_rope_s_speed(tmp_path: Path, name: str, codec: str) -> None:
     Film(tmp_path / name).write(FRAMES)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
+from knotgym.common import one_line
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import file_stem, marks_base, measures_of, read_table, shards
 from knotgym.datasets.manifest import read_manifest, write_manifest
@@ -181,7 +182,7 @@ def in_words(value: Any) -> str:
         return (" to " if is_interval else " and ").join(map(in_words, value))
     if isinstance(value, float):
         return f"{value:.4g}"
-    return "" if value is None else str(value)
+    return "" if value is None else one_line(value)  # a stranger's text
 
 
 def summary(found: "Located") -> tuple[list[str], dict[str, CardTable]]:
