@@ -11,12 +11,14 @@ about a thousandth of the steps of a GPU: the weights that ship took nine minute
 """
 
 import argparse
-import itertools
+import copy
+import math
 import time
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
+import cv2
 import numpy as np
 
 try:
@@ -26,15 +28,18 @@ except ModuleNotFoundError as error:
 from numpy.typing import NDArray
 from pictures import Misread, page, shown_rows
 from strand_loss import strand_loss
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from knotgym.datasets import decode, read_rows
+from knotgym.datasets import decode
 from knotgym.learn import load_rope_reader, save_rope_reader
 from knotgym.photos import StrandNetwork, photograph
-from knotgym.topology import GaussCode, RopesCode, find_crossings
+from knotgym.rendering import AppearanceConfig
+from knotgym.states import read_states, shipped
+from knotgym.topology import GaussCode, RopesCode, Symmetry, canonical, find_ropes_crossings, label
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
 Array = NDArray[np.float64]
-Example = tuple[NDArray[np.uint8], Array, Array, Array]  # picture, and the targets of `strand_loss`
+Example = tuple[NDArray[np.uint8], Array, Array]  # picture, and the targets of `strand_loss`
 
 
 def read(given: argparse.Namespace) -> None:
@@ -81,73 +86,124 @@ def share(rows: list[dict[str, Any]]) -> float:
 
 
 def train(given: argparse.Namespace) -> None:
-    """Train a network on photos drawn by worker processes, and write its weights."""
-    rows = read_rows(given.folder, "train", ["points"])
-    ropes = np.array([np.reshape(row["points"], (-1, 3)) for row in rows])
-    torch.manual_seed(given.seed)
-    network = StrandNetwork().to(given.device)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=2e-3, weight_decay=1e-4)
-    begin, step, kept = time.time(), 0, list[Example]()
-    with get_context("spawn").Pool(given.workers, _take, (ropes,)) as pool:
-        drawn = pool.imap_unordered(example, itertools.count(given.seed * 10**9))
-        while (done := (time.time() - begin) / (60 * given.minutes)) < 1:
-            kept += itertools.islice(drawn, given.new)
-            kept = kept[-given.keep :]
-            rate = 2e-3 * (0.01 + 0.99 * 0.5 * (1 + np.cos(np.pi * done)))
-            for group in optimizer.param_groups:
-                group["lr"] = rate
-            picked = np.random.default_rng([given.seed, step]).integers(len(kept), size=given.batch)
-            parts = zip(*(kept[k] for k in picked), strict=True)
-            image, *true = (
-                torch.from_numpy(np.stack(part)).to(given.device).float() for part in parts
+    """Train a network on photos drawn meanwhile, write its weights, and go on from these."""
+    states = [read_states(shipped(name), images=False) for name in given.states]
+    # more often with many crossings: `example` draws two and takes the later one
+    codes = sorted(
+        (nx, k, row) for k, one in enumerate(states) for row, nx in enumerate(one.nx.tolist())
+        if one.split[row] == "train" and not held_out(label(one.points[row]))
+    )  # fmt: skip
+    ropes = [states[k].points[row] for _, k, row in codes]
+    network, begun = StrandNetwork(), given.out / "training.pt"
+    start = load_rope_reader(given.start).network.state_dict() if given.start else {}
+    network.load_state_dict(
+        {
+            name: one[: len(network.state_dict()[name])] if one.dim() else one
+            for name, one in start.items()
+        },
+        strict=bool(start),
+    )
+    mean = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(0.98))
+    optimizer = torch.optim.AdamW(network.parameters(), lr=given.rate, weight_decay=1e-4)
+    step, spent, parts = 0, 0.0, {"network": network, "mean": mean, "optimizer": optimizer}
+    if begun.exists():
+        kept = torch.load(begun)
+        step, spent = kept["step"], kept["spent"]
+        for name, part in parts.items():
+            part.load_state_dict(kept[name])
+    given.out.mkdir(parents=True, exist_ok=True)
+    # statistics of few pictures are noise: those of weights that exist are kept
+    network.train(not start)
+    last = time.process_time()
+    while (done := spent / (60 * given.minutes)) < 1:
+        for group in optimizer.param_groups:
+            group["lr"] = (
+                given.rate * min(1, (step + 1) / 20) * (0.05 + 0.95 * math.cos(1.57 * done))
             )
-            loss = strand_loss(network, image.permute(0, 3, 1, 2), *true)
-            optimizer.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-            optimizer.step()
-            step += 1
-            if step % given.every == 0:
-                print(f"{time.time() - begin:6.0f} s  step {step}  loss {loss.item():.3f}")
-    save_rope_reader(network.cpu(), given.out, {"steps": step})
+        first = (given.seed * 10**6 + step) * given.batch
+        drawn = zip(
+            *(example(ropes, first + k, given.new) for k in range(given.batch)), strict=True
+        )
+        image, *true = (torch.from_numpy(np.stack(part)).to(given.device).float() for part in drawn)
+        loss = strand_loss(network, image.permute(0, 3, 1, 2), *true)
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        optimizer.step()
+        mean.update_parameters(network)
+        step += 1
+        now = time.process_time()
+        spent, last = spent + now - last, now
+        if step % given.every == 0 or spent > 60 * given.minutes:
+            print(f"{spent:6.0f} CPU s  step {step}  loss {loss.item():.3f}", flush=True)
+            kept = {name: part.state_dict() for name, part in parts.items()}
+            torch.save({**kept, "step": step, "spent": spent}, given.out / "new.pt")
+            (given.out / "new.pt").replace(begun)
+            save_rope_reader(copy.deepcopy(mean.module), given.out, {"steps": step})
 
 
-_ROPES: list[Array] = []
+def held_out(code: GaussCode) -> bool:
+    """Return whether a diagram is kept for tests of what was never trained on."""
+    return code.nx > 2 and crc32(str(canonical(code, Symmetry.DIAGRAM)).encode()) % 5 == 0
 
 
-def _take(ropes: Array) -> None:
-    _ROPES[:] = list(ropes)
+def example(ropes: list[Array], number: int, new: float) -> Example:
+    """Draw a photo of a random rope, with heights switched in every other one.
 
-
-def example(number: int) -> Example:
-    """Draw a photo of a random rope, with heights switched in every other one."""
+    A share `new` has look phone; of these pictures some are cut to another shape, with the
+    colour of their border around them, as the reader puts pictures into a square.
+    """
     rng = np.random.default_rng(number)
+    phone, several = rng.random() < new, rng.random() < 0.35
+    config = AppearanceConfig(
+        look="phone" if phone else "table", ropes=(2, 3, 4) if several else (1,), open=0.6
+    )
     while True:
-        rope = _ROPES[rng.integers(len(_ROPES))] * (1.0, 1.0, rng.choice((-1.0, 1.0)))
-        shot = photograph(rope, SIDE, rng)
-        if shot is not None and shot.crossings.nx <= MOST:
+        rope = ropes[rng.integers(len(ropes), size=2).max()] * (1.0, 1.0, rng.choice((-1.0, 1.0)))
+        shot = photograph(rope, SIDE, rng, config=config)
+        if shot is not None and shot.code.nx <= MOST and (shot.code.nx or rng.random() < 0.3):
             break
-    line = shot.line.astype(np.float64)
-    line[:, 2] *= shot.look.scale
-    found = find_crossings(line * (1.0, -1.0, 1.0))
-    crossings = np.zeros((MOST, 5))
-    for k, place in enumerate(found.over_place[:MOST].astype(int)):
-        step = line[(place + 1) % len(line)] - line[place]
+    whole = shot.line.astype(np.float64)
+    whole[:, 2] *= shot.look.scale
+    lines = shot.ropes or [whole]
+    met = find_ropes_crossings([one * (1.0, -1.0, 1.0) for one in lines], not shot.ropes)
+    points, crossings = np.concatenate(lines), np.zeros((MOST, 5))
+    for k, place in enumerate(met.over_place[:MOST].astype(int)):
+        step = points[(place + 1) % len(points)] - points[place]
         twice = 2 * np.arctan2(step[1], step[0])
-        crossings[k] = *(found.position[k] * (1, -1)), np.cos(twice), np.sin(twice), 1
-    base = np.zeros(5)
-    if shot.look.marked:
-        step = line[1, :2] - line[-1, :2]
-        base[:] = *line[0, :2], *(step / np.hypot(*step)), 1
-    return shot.image, evenly(line[:, :2]), crossings, base
+        crossings[k] = *(met.position[k] * (1, -1)), np.cos(twice), np.sin(twice), 1
+    image, line = shot.image, evenly([one[:, :2] for one in lines], not shot.ropes)
+    if phone and rng.random() < 0.4:
+        image, low, high = image.copy(), np.zeros(2), np.full(2, SIDE)
+        axis, share = rng.integers(2), rng.uniform(0.55, 1.0)
+        low[axis] = rng.uniform(0, 1 - share) * SIDE
+        high[axis] = low[axis] + share * SIDE
+        at = np.arange(SIDE) + 0.5
+        x, y = ((low[k] <= at) & (at < high[k]) for k in range(2))
+        inside = y[:, None] & x
+        edge = inside & ~cv2.erode(inside.view(np.uint8), np.ones((3, 3)), borderValue=0).astype(
+            bool
+        )
+        image[~inside] = np.median(image[edge], axis=0)
+        for found in (line, crossings):
+            found[:, -1] *= np.all((low <= found[:, :2]) & (found[:, :2] < high), axis=1)
+    return image, line, crossings
 
 
-def evenly(line: Array) -> Array:
-    """Return PLACES places, evenly in the picture, along a closed line (n, 2)."""
-    closed = np.concatenate([line, line[:1]])
-    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed, axis=0).T)))
-    at = np.arange(PLACES) * walked[-1] / PLACES
-    return np.stack([np.interp(at, walked, closed[:, k]) for k in range(2)], axis=1)
+def evenly(lines: list[Array], closed: bool) -> Array:
+    """Return PLACES places (x, y, joined to the next), evenly along lines (n, 2)."""
+    lines = [np.concatenate([one, one[:1]]) if closed else one for one in lines]
+    lengths = [np.hypot(*np.diff(one, axis=0).T) for one in lines]
+    stops = np.rint(
+        np.cumsum([0, *(one.sum() for one in lengths)]) / sum(map(sum, lengths)) * PLACES
+    )
+    found = []
+    for line, steps, count in zip(lines, lengths, np.diff(stops).astype(int), strict=True):
+        at = np.linspace(0, steps.sum(), count, endpoint=not closed)
+        walked = np.append(0.0, np.cumsum(steps))
+        own = np.stack([np.interp(at, walked, line[:, k]) for k in range(2)], axis=1)
+        found.append(np.column_stack([own, np.arange(count) < count - (not closed)]))
+    return np.concatenate(found)
 
 
 def main() -> None:
@@ -161,16 +217,16 @@ def main() -> None:
     one.add_argument("--views", type=int, default=8)
     one.add_argument("--weights", help="folder; by default those that ship")
     one.add_argument("--page", type=Path, help="file for a page of misread pictures")
-    two = commands.add_parser("train", help="train on new photos of a table's ropes")
+    two = commands.add_parser("train", help="train on new photos of a table's ropes, or go on")
     two.set_defaults(run=train)
-    two.add_argument("folder", type=Path)
+    two.add_argument("--states", nargs="+", default=["bench", "readable", "random-walk"])
     two.add_argument("--out", type=Path, required=True)
-    two.add_argument("--minutes", type=float, default=60)
+    two.add_argument("--minutes", type=float, default=60, help="CPU minutes")
     two.add_argument("--batch", type=int, default=16)
-    two.add_argument("--new", type=int, default=2, help="new photos a step")
-    two.add_argument("--keep", type=int, default=20_000, help="photos to draw from again")
-    two.add_argument("--every", type=int, default=20)
-    two.add_argument("--workers", type=int, default=1)
+    two.add_argument("--start", help="folder of a reader to begin from, or rope-reader")
+    two.add_argument("--rate", type=float, default=2e-3, help="highest learning rate")
+    two.add_argument("--new", type=float, default=0.65, help="share of photos of look phone")
+    two.add_argument("--every", type=int, default=20, help="steps between checkpoints")
     two.add_argument("--device", default="cpu")
     two.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()

@@ -17,55 +17,49 @@ ORIENTATIONS, CELL = 16, 2  # channels of the lifted fields; pixels of a cell
 _SIGMA, _TAU = 0.9, math.radians(9.0)  # widths of responses, cells and radians
 _RARE = 9.0  # extra weight of cells with a full response, of which there are few
 _REACH = 2  # cells around a line or a crossing
-_BASE = 1.5  # width of the response at the base, cells
-_UPPER, _ALONG = 2.0, 0.5  # weights of the losses of directions
+_NEAR = 1.5  # width of the weight at a crossing, cells
+_UPPER = 2.0  # weight of the loss of upper strands
 
 
 def strand_loss(
-    network: StrandNetwork, pictures: Tensor, line: Tensor, crossings: Tensor, base: Tensor
+    network: StrandNetwork, pictures: Tensor, line: Tensor, crossings: Tensor
 ) -> Tensor:
     """Return the mean loss of n pictures; places are in pixels, x right and y down.
 
     Args:
         network: in training.
         pictures: float32 (n, 3, side, side), levels 0 to 255.
-        line: float32 (n, m, 2), places evenly along the closed line of the rope.
+        line: float32 (n, m, 3), places evenly along the lines of ropes, and whether a line leads
+            from here to the next, 1 or 0; the last leads to the first.
         crossings: float32 (n, c, 5): place, cosine and sine of twice the angle of the upper
             strand, and 1; rows of zeros where there are fewer.
-        base: float32 (n, 5): place of the base bead, unit direction of the walk there, and 1 if
-            it is seen; zeros if it isn't marked.
     """
     fields = network(pictures)
-    lines, bases = fields.lines.float(), fields.base.float()
+    lines = fields.lines.float()
     side = lines.shape[-1]
     wanted = lifted_lines(line, side)
-    loss = _sparse_loss(lines, wanted, wanted.sum())
-    seen = base[:, None, 4:]
-    places, share = _window(base[:, None, :2], side, 2 * _REACH, _BASE)
-    wanted = torch.zeros_like(bases).flatten(1)
-    wanted.scatter_reduce_(1, places[:, 0], (share * seen)[:, 0], "amax")
-    loss = loss + _sparse_loss(bases, wanted.view_as(bases), wanted.sum() + 5 * len(bases))
-    pairs = ((fields.upper, crossings, _UPPER), (fields.along, base[:, None], _ALONG))
-    for field, rows, weight in pairs:
-        places, share = _window(rows[..., :2], side, _REACH, _BASE)
-        share = share * rows[..., 4:]
-        each = places.flatten(1)[:, None].expand(-1, 2, -1)
-        found = field.float().flatten(2).gather(2, each).view(len(rows), 2, *places.shape[1:])
-        off = (found - rows[..., 2:4].transpose(1, 2)[..., None]).square().sum(1)
-        loss = loss + weight * (share * off).sum() / share.sum().clamp(min=1)
-    return loss
+    each = functional.binary_cross_entropy_with_logits(lines, wanted, reduction="none")
+    # nearly all responses are 0; the mean is for each full one
+    loss = ((1 + _RARE * wanted) * each).sum() / wanted.sum()
+    places, share = _window(crossings[..., :2], side)
+    share = share * crossings[..., 4:]
+    cells = places.flatten(1)[:, None].expand(-1, 2, -1)
+    found = fields.upper.float().flatten(2).gather(2, cells).view(len(lines), 2, *places.shape[1:])
+    off = (found - crossings[..., 2:4].transpose(1, 2)[..., None]).square().sum(1)
+    return loss + _UPPER * (share * off).sum() / share.sum().clamp(min=1)
 
 
 def lifted_lines(line: Tensor, side: int) -> Tensor:
-    """Draw lines (n, m, 2) into lifted fields, float32 (n, ORIENTATIONS, side, side), in [0, 1].
+    """Draw lines (n, m, 3) into lifted fields, float32 (n, ORIENTATIONS, side, side), in [0, 1].
 
     At a sharp bend all directions between those of its sides are lit, so that the line doesn't
     break there.
     """
-    at = line / CELL - 0.5
+    at, joined = line[..., :2] / CELL - 0.5, line[..., 2]
     step = at.roll(-1, 1) - at
     angle = torch.atan2(step[..., 1], step[..., 0])
     turn = (angle.roll(-1, 1) - angle + math.pi) % (2 * math.pi) - math.pi
+    turn = turn * joined * joined.roll(-1, 1)
     # a piece has the directions from half of the turn before it to half of the turn after it
     middle, half = angle + 0.25 * (turn - turn.roll(1, 1)), 0.25 * (turn + turn.roll(1, 1)).abs()
     x, y, places, inside = _cells(at + 0.5 * step, side, _REACH)
@@ -75,7 +69,7 @@ def lifted_lines(line: Tensor, side: int) -> Tensor:
     along = (dx * step[..., :1] + dy * step[..., 1:]) / length.square()
     along = along.clamp(0, 1)
     square = (dx - along * step[..., :1]).square() + (dy - along * step[..., 1:]).square()
-    near = torch.exp(-square / (2 * _SIGMA**2)) * inside
+    near = torch.exp(-square / (2 * _SIGMA**2)) * inside * joined[..., None]
     layers = torch.arange(ORIENTATIONS, device=line.device)
     off = layers * (math.pi / ORIENTATIONS) - middle[..., None]
     off = ((off + math.pi / 2) % math.pi - math.pi / 2).abs()
@@ -87,18 +81,12 @@ def lifted_lines(line: Tensor, side: int) -> Tensor:
     return out.view(len(line), ORIENTATIONS, side, side)
 
 
-def _sparse_loss(logits: Tensor, wanted: Tensor, count: Tensor) -> Tensor:
-    """Return the cross-entropy of responses, nearly all of which are 0, for each full one."""
-    each = functional.binary_cross_entropy_with_logits(logits, wanted, reduction="none")
-    return ((1 + _RARE * wanted) * each).sum() / count
-
-
-def _window(at: Tensor, side: int, reach: int, width: float) -> tuple[Tensor, Tensor]:
+def _window(at: Tensor, side: int) -> tuple[Tensor, Tensor]:
     """Return the cells around places (n, k, 2), int64 (n, k, w), and how much they count."""
     at = at / CELL - 0.5
-    x, y, places, inside = _cells(at, side, reach)
+    x, y, places, inside = _cells(at, side, _REACH)
     square = (x - at[..., 0, None]).square() + (y - at[..., 1, None]).square()
-    return places, torch.exp(-square / (2 * width**2)) * inside
+    return places, torch.exp(-square / (2 * _NEAR**2)) * inside
 
 
 def _cells(at: Tensor, side: int, reach: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

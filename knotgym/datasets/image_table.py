@@ -69,9 +69,9 @@ def shown(*names: str) -> dict[str, str]:
 def _columns_among(names: Collection[str]) -> dict[str, Any]:
     """Return all columns and their types of a table with these names.
 
-    They are COLUMNS, and those of each appearance all of whose own columns are among the names.
+    They are COLUMNS, and own ones of appearances, those of a file if all are among the names.
     """
-    own = [APPEARANCES[name].own_columns for name in APPEARANCES]
+    own = [columns for kind in APPEARANCES.values() for columns in kind.own_columns]
     more = [one for one in own if one.keys() <= set(names)]
     return COLUMNS | {name: column["type"] for one in more for name, column in one.items()}
 
@@ -149,16 +149,17 @@ def _record(
 def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     """Return the columns that follow from a configuration and its picture."""
     crossings = rope.crossings
-    positions = *drawn.pixels.T, crossings.over_place, crossings.under_place
-    columns = [column.tolist() for column in (*positions, crossings.sign)]
-    names = ("x", "y", "over_place", "under_place", "sign")
+    names = ("over_place", "under_place", "sign")
+    rows = (getattr(crossings, name)[drawn.seen] for name in names)
+    columns = [column.tolist() for column in (*drawn.pixels.T, *rows)]
+    fields = ("x", "y", *names)
     kinds = APPEARANCES[drawn.look.name].own_columns
-    images = {name for name, kind in kinds.items() if kind["type"] == "image"}
+    images = {name for own in kinds for name, kind in own.items() if kind["type"] == "image"}
     own = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
     grained = APPEARANCES[drawn.look.name].grained or drawn.look.noise > 0
     return {
         **_of_code(rope.code),
-        "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],
+        "crossings": [dict(zip(fields, one, strict=True)) for one in zip(*columns, strict=True)],
         "accepted": not Limits().faults(rope.quality, crossings.nx),
         "grade": grade_of(rope.quality.ease()),
         "quality": dict(vars(rope.quality)),

@@ -362,7 +362,8 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
     if (name := row["appearance"]["name"]) not in APPEARANCES:
         yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
         return
-    structures, drawer = ("appearance", *APPEARANCES[name].own_columns), Drawer.of(name)
+    own, drawer = APPEARANCES[name].own_columns, Drawer.of(name)
+    structures = ["appearance", *(column for columns in own for column in columns if column in row)]
     chosen = {one.name for one in fields(drawer.look)}  # others are measured in the picture
     factors = [
         (f"{one}.{factor}", value)

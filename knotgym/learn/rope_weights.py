@@ -56,7 +56,8 @@ def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
     Raises:
         InvalidFile: as in `load_network`.
     """
-    return RopeReader(load_network(policy_folder(name), ROPE_READER, lambda _: StrandNetwork())[0])
+    folder, head = policy_folder(name), "head.1.bias"
+    return RopeReader(load_network(folder, ROPE_READER, lambda w: StrandNetwork(len(w[head])))[0])
 
 
 def save_rope_reader(network: StrandNetwork, folder: Path, card: dict[str, Any]) -> None:

@@ -17,20 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Array, InvalidInput, Stream
-from knotgym.photos.photo_look import DEFAULT, LIMITS, WIDTHS, Photo, Rng, drawn_look
+from knotgym.photos.photo_look import DEFAULT, LOOKS, Photo, Rng, drawn_look
 from knotgym.photos.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
 from knotgym.rendering import AppearanceConfig, Drawer, Drawn, checked_points
 from knotgym.topology import Crossings
 
-TILT = AppearanceConfig().tilt  # largest tilt of the camera, degrees
+_CONFIG = AppearanceConfig()
+TILT = _CONFIG.tilt  # largest tilt of the camera, degrees
 _TRIES = 12  # cameras
+_SQUEEZE = (0.3, 1.0)  # of ropes, which flattens crossings
+_CROP = 2.2  # share of the side of a picture that a rope which it cuts fills, at most
 Camera = tuple[float, float]  # tilt and heading, degrees
 
 
 class PhotoDrawer(Drawer):
     """Draws photos, with the answers as columns of their own."""
 
-    look, struct = Photo, "photo"
+    look, structs = Photo, ("photo", "phone")
 
     def seen(self, points: Array, config: AppearanceConfig, rng: Rng) -> tuple[Array, Camera]:
         camera = _drawn_camera(rng, config.tilt)
@@ -56,7 +59,7 @@ class PhotoDrawer(Drawer):
         for attempt in range(_TRIES):
             # a crossing may hide the base from here; then, after half of the tries, there is no
             # tape
-            if shot := _drawn(rope, rng, camera, marked and attempt < _TRIES // 2):
+            if shot := _drawn(rope, rng, camera, marked and attempt < _TRIES // 2, config):
                 return shot
         # `legible` has shown that this one can be read
         return _taken(rope, _clearest(rope, camera))
@@ -80,8 +83,9 @@ class PhotoDrawer(Drawer):
 
 
 def photograph(
-    points: Array, size: int, rng: Rng, *, tilt: float = TILT, marked: bool | None = None
-) -> Shot | None:
+    points: Array, size: int, rng: Rng, *, tilt: float = TILT, marked: bool | None = None,
+    config: AppearanceConfig = _CONFIG,
+) -> Shot | None:  # fmt: skip
     """Draw a camera and an appearance until the picture is legible.
 
     Args:
@@ -89,6 +93,7 @@ def photograph(
         size: side of the picture, pixels.
         tilt: largest tilt of the camera, degrees.
         marked: whether tape marks the base; None to draw it.
+        config: its look, and the ropes of a look that cuts them.
 
     Returns:
         None if no camera of several shows a legible picture.
@@ -103,17 +108,17 @@ def photograph(
     for _ in range(_TRIES):
         # from many directions strands touch or fold, whatever the appearance; then another is tried
         camera = _drawn_camera(rng, tilt)
-        if shot := _drawn(PhotoRope(tilted(points, *camera), size), rng, camera, marked):
+        if shot := _drawn(PhotoRope(tilted(points, *camera), size), rng, camera, marked, config):
             return shot
     return None
 
 
 def _clearest(rope: PhotoRope, camera: Camera = (0.0, 0.0)) -> Photo:
     """Return the plainest look: a narrow white rope on a dark surface, as large as the picture."""
-    bright = (235, 230, 220)
-    look = _framed(rope, camera, 0.0, 1.0, np.zeros(2), first=bright, last=bright)
+    (least, most), bright = LOOKS[_CONFIG.look].widths, (235, 230, 220)
+    look = _framed(rope, camera, 0.0, 1.0, np.zeros(2), most, first=bright, last=bright)
     # as narrow as allowed, which leaves most background between strands
-    return replace(look, width=WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale))
+    return replace(look, width=least / (2 * DEFAULT.rope_radius * look.scale))
 
 
 def _drawn_camera(rng: Rng, tilt: float = TILT) -> Camera:
@@ -140,7 +145,7 @@ def tilted(points: Array, tilt: float, heading: float) -> Array:
 
 def take(points: Array, look: Photo) -> Shot:
     """Take the photo of points (beads, 3) in the camera's axes with an appearance."""
-    return _taken(PhotoRope(points, look.size), look)
+    return _taken(PhotoRope(points, look.size).cut(look.cuts, look.squeeze), look)
 
 
 def _taken(rope: PhotoRope, look: Photo) -> Shot:
@@ -152,15 +157,31 @@ def _taken(rope: PhotoRope, look: Photo) -> Shot:
     return painted(view, look, region)
 
 
-def _drawn(rope: PhotoRope, rng: Rng, camera: Camera, marked: bool | None) -> Shot | None:
+def _drawn(
+    rope: PhotoRope, rng: Rng, camera: Camera, marked: bool | None, config: AppearanceConfig
+) -> Shot | None:
     """Draw frame and appearance of one view; None if it isn't legible."""
-    if rope.shown.nx > LIMITS.crossings:
+    ranges, squeeze = LOOKS[config.look], 1.0
+    if not ranges.free and rope.shown.nx > ranges.limits.crossings:
         return None
-    turn, fill = rng.uniform(-math.pi, math.pi), rng.uniform(0.7, 1.0)
-    look = _framed(rope, camera, turn, fill, rng.uniform(-1.0, 1.0, 2))
-    view, widest = PhotoView(rope, look), rng.uniform(*WIDTHS)
+    cuts: tuple[float, ...] = ()
+    turn, fill = rng.uniform(-math.pi, math.pi), rng.uniform(*ranges.fill)
+    place, share, (least, most) = rng.uniform(-1.0, 1.0, 2), rng.random(), ranges.widths
+    widest, room = least + share * (most - least), most
+    if ranges.free:
+        cuts, marked, unit = _cuts(config, rng), False, rope.size / 256
+        squeeze = rng.uniform(*_SQUEEZE)
+        rope, least = rope.cut(cuts, squeeze), unit * least
+        widest = room = least * (most / ranges.widths[0]) ** share
+        if rng.random() < config.cropped:
+            fill = rng.uniform(1.05, _CROP)
+    named: dict[str, Any] = {"look": config.look, "cuts": cuts, "squeeze": squeeze}
+    look = _framed(rope, camera, turn, fill, place, room, **named)
+    view = PhotoView(rope, look)
+    if len(view.over) > ranges.limits.crossings:
+        return None
     # a rope that is illegible at its narrowest isn't looked at any further
-    region = view.region(least := WIDTHS[0])
+    region = view.region(least)
     for width in (widest, max(least, 0.6 * widest), least) if region else ():
         if region := view.region(width):
             break
@@ -186,21 +207,40 @@ def _drawn(rope: PhotoRope, rng: Rng, camera: Camera, marked: bool | None) -> Sh
     return None
 
 
+def _cuts(config: AppearanceConfig, rng: Rng) -> tuple[float, ...]:
+    """Draw the pieces that are missing of a rope: none of a closed one, one for each open rope."""
+    count = config.ropes[int(rng.integers(len(config.ropes)))]
+    if count == 1 and rng.random() >= config.open:
+        return ()
+    missing = rng.uniform(0.06, 0.7) if count == 1 else rng.uniform(0.25, 0.6)
+    shares = rng.uniform(0.5, 1.5, (2, count))
+    shares *= np.array([[missing], [1 - missing]]) / shares.sum(axis=1, keepdims=True)
+    ends = rng.random() + np.append(0.0, np.cumsum(shares.T))
+    return tuple(ends[: 2 * count].tolist())
+
+
 def _framed(
-    rope: PhotoRope, camera: Camera, turn: float, fill: float, place: Array, **more: Any
+    rope: PhotoRope,
+    camera: Camera,
+    turn: float,
+    fill: float,
+    place: Array,
+    widest: float,
+    **more: Any,
 ) -> Photo:
     """Choose zoom and position: the rope fills a share of the picture's side, `place` of the rest.
 
     Args:
-        fill: at most 1.
-        more: other fields of the appearance.
+        fill: beyond 1 the picture's edge cuts the rope.
         place: (2,), right and down, from -1 to 1.
+        widest: the rope may be so wide, px.
+        more: other fields of the appearance.
     """
     size, (tilt, heading) = rope.size, camera
-    flat = rope.projected(turn, size / DEFAULT.view)[:, :2]
+    flat = rope.projected(turn, size / DEFAULT.view)[rope.kept, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     # half of the widest rope is beyond its axis on either side, and a pixel is left to the edge
-    room = size - WIDTHS[1] - 2.0
+    room = size - widest - 2.0
     zoom = fill * room / float((high - low).max())
     # a share of what is left free, and what brings the middle of the drawing to the picture's
     right, down = 0.5 * (room - zoom * (high - low)) * place - 0.5 * zoom * (low + high)

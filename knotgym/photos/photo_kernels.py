@@ -20,6 +20,7 @@ _F, _U = np.float32, np.uint32
 FAR = _F(1e9)  # squared distance of pixels that no piece is near
 UNDER, OVER, FIRST, LAST = 1, 2, 4, 8  # flags of a piece: its layers, and ends of the upper one
 CLOTH, WOOD, GRADIENT, NOISE = 0, 1, 2, 3
+PLAIN, LAID, BRAID, FLAT = 0, 1, 2, 3  # weaves
 _TURN = _F(6.2831853)
 # beside these float32 stays float32; Python's own numbers would make it float64
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
@@ -204,10 +205,47 @@ def _arcsine_share(u: Any) -> Any:
     return share if u >= 0 else -share
 
 
+@inlined
+def _woven(weave: int, turn: Any, u: Any, texture: Array) -> Any:
+    """Return what a weave makes of a point of a rope.
+
+    Args:
+        weave, texture: as in `compose`.
+        turn: length up to the point, turns of the texture.
+        u: across the rope, -1 to 1.
+
+    Returns:
+        u of the round rope that shades alike; the strand, 0 or 1; brightness of its groove; how far
+        it leans along the rope; factor on the radius; and brightness of its fibres.
+    """
+    which, groove, lean, bulge, fibre = 0, _ONE, _ZERO, _ONE, _ONE
+    if weave == LAID:
+        # two strands round the rope: angle round the axis plus twist along it, in strands
+        v = 2 * (turn + _arcsine_share(u))
+        which = int(np.floor(v)) & 1
+        v -= np.floor(v)
+        bump = 4 * v * (_ONE - v)
+        groove = _F(0.45) + _F(0.55) * min(_ONE, _F(1.7) * bump)
+        lean = _F(0.9) * v - _F(0.45)
+        bulge = _F(0.92) + _F(0.08) * bump
+        fibre = _F(0.88) + _F(0.2) * _smooth_noise(texture, 6 * v, 9 * turn)
+    elif weave > LAID:
+        # strands wind round the rope both ways, and lie on top of each other in turn
+        share = _arcsine_share(u) if weave == BRAID else _F(0.2) * u
+        v, w = 4 * (turn + share), 4 * (turn - share)
+        which = (int(np.floor(v)) + int(np.floor(w))) & 1
+        v = (v - np.floor(v) if which else w - np.floor(w)) - _HALF
+        groove = _ONE - _F(1.4) * v * v
+        fibre = _F(0.85) + _F(0.25) * _smooth_noise(texture, 9 * v, 9 * turn)
+        if weave == FLAT:
+            u *= u * u * u * u  # as good as level up to its edges
+    return u, which, groove, lean, bulge, fibre
+
+
 @kernel
 def compose(
     picture: Array, strands: Array, visits: Array, square: Array, place: Array, curve: Array,
-    after: Array, tangent: Array, along: Array, colours: Array, lamp: Array, twisted: bool,
+    after: Array, tangent: Array, along: Array, colours: Array, lamp: Array, weave: int,
     texture: Array, grown: Any, own: int
 ) -> None:  # fmt: skip
     """Paint both layers and their shadows on a surface.
@@ -222,7 +260,7 @@ def compose(
         colours: float32 (n, 2, 3), RGB of the two strands of the twist.
         lamp: float32 (7,): radius of the rope, px; strengths of highlight, light without direction
             and shadows; unit vector towards the light, y down.
-        twisted: whether the rope is laid of two strands.
+        weave: PLAIN, LAID of two strands, BRAID or FLAT.
         texture: float32 (64, 64), of fibres.
         grown: pieces; an upper piece casts no shadow on places as near along the rope.
         own: number of points of the rope itself; those of others follow.
@@ -279,20 +317,9 @@ def compose(
                 # across the rope, -1 to 1, signed by the side of the tangent; a round section is
                 # sqrt(1 - u^2) high
                 u = min(d / radius, _ONE) if tx * py - ty * px >= 0 else -min(d / radius, _ONE)
-                rise = np.sqrt(_ONE - u * u)
-                groove, lean, which, edge, fibre = _ONE, _ZERO, 0, radius, _ONE
                 turn = along[k] + t * (along[k + 1] - along[k])
-                if twisted:
-                    # two strands round the rope: angle round the axis plus twist along it, in
-                    # strands
-                    v = 2 * (turn + _arcsine_share(u))
-                    which = int(np.floor(v)) & 1
-                    v -= np.floor(v)
-                    bump = 4 * v * (_ONE - v)
-                    groove = _F(0.45) + _F(0.55) * min(_ONE, _F(1.7) * bump)
-                    lean = _F(0.9) * v - _F(0.45)
-                    edge = radius * (_F(0.92) + _F(0.08) * bump)
-                    fibre = _F(0.88) + _F(0.2) * _smooth_noise(texture, 6 * v, 9 * turn)
+                u, which, groove, lean, bulge, fibre = _woven(weave, turn, u, texture)
+                edge, rise = radius * bulge, np.sqrt(_ONE - u * u)
                 cover = min(edge - d + _HALF, _ONE)
                 if cover <= 0:
                     continue
@@ -326,7 +353,8 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
     Args:
         picture: uint8 (size, size, 3); changed.
         gain: float32 (3,), of RGB.
-        slope: float32 (2,), change of light over the picture, right and down, a share.
+        slope: float32 (3,), change of light over the picture, right and down, and loss at corners,
+            shares.
         deviation: of the noise, levels.
     """
     size, byte = len(picture), _U(255)
@@ -345,7 +373,9 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
             # 255
             grey = _F(np.int32(low) - 510) * scale + _HALF
             tint = _F(np.int32(high) - 255) * scale * _HALF
-            light = 1 + slope[0] * (_F(column) / size - _HALF) + slope[1] * (_F(row) / size - _HALF)
+            right, down = _F(column) / size - _HALF, _F(row) / size - _HALF
+            light = 1 + slope[0] * right + slope[1] * down
+            light -= slope[2] * 2 * (right * right + down * down)
             for c in range(3):
                 level = picture[row, column, c] * light * gain[c] + grey + _F(1 - c) * tint
                 picture[row, column, c] = np.uint8(min(max(level, _ZERO), _F(255)))

@@ -5,7 +5,8 @@ points and appearance to the byte.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,9 @@ Rng = np.random.Generator
 RGB = tuple[int, int, int]
 DEFAULT = PictureConfig()
 SURFACES = ("cloth", "wood", "gradient", "noise")
-WIDTHS = (3.0, 12.0)  # of the rope, px
+# fields of `Photo` that tables of free looks alone have
+PHONE = ("look", "cuts", "squeeze", "weave", "whipping", "mixed", "corners")
+WEAVES = ("plain", "laid", "braid", "flat")  # textures of ropes, as `photo_kernels` numbers them
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
 
 
@@ -58,6 +61,50 @@ LIMITS = Legibility()
 
 
 @dataclass(frozen=True, kw_only=True)
+class Look:
+    """What one look of photos draws; lengths are pixels of 256.
+
+    Attributes:
+        says: what it shows, for help.
+        limits: what its pictures must show.
+        widths: of the rope; those of a `free` look are drawn evenly in their logarithms.
+        fill: share of the picture's side that the rope fills; beyond 1 the picture cuts it.
+        kinds: what lies on the table beside the rope: a surface alone, clutter, or other ropes.
+        dim: darkest first colour of a surface.
+        occluded: share of photos in which things lie on the rope.
+        evenly: ranges of other fields of `Photo`, in the order of the draws.
+        free: whether ropes may be cut, of any weave, whipped, and of different colours.
+    """
+
+    says: str
+    limits: Legibility = LIMITS
+    widths: tuple[float, float] = (3.0, 12.0)
+    fill: tuple[float, float] = (0.7, 1.0)
+    kinds: tuple[str, ...] = (*SURFACES, "clutter", "ropes")
+    dim: float = 0.15
+    occluded: float = 0.25
+    evenly: Mapping[str, tuple[float, float]] = field(default_factory=lambda: _EVENLY)
+    free: bool = False
+
+
+_ANY = {"falloff": (0, 0.9), "corners": (0, 0.35), "blur": (0, 0.4), "noise": (0, 1.6)}
+LOOKS = {
+    "table": Look(says="closed rope on a table"),
+    "phone": Look(
+        says="rope as phones and laboratories take it: cut, cropped, wide, crossing at flat angles",
+        limits=LIMITS._replace(angle=8.0, region=8.0, contrast=14.0, order=8.0),
+        widths=(3.0, 30.0),
+        fill=(0.6, 1.0),
+        kinds=(*SURFACES, "clutter"),
+        dim=0.03,
+        occluded=0.0,
+        evenly=_EVENLY | _ANY,
+        free=True,
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Photo(Appearance):
     """Appearance of a photo; with the points it determines every byte.
 
@@ -84,6 +131,13 @@ class Photo(Appearance):
         warmth: gain of red over blue, a share.
         exposure: gain.
         jpeg: quality; 100 for none.
+        look: one of LOOKS.
+        cuts: where each missing piece of the rope begins and ends, shares of its vertices.
+        squeeze: factor on the rope's extent across the camera's picture, before its turn.
+        weave: "braid", "flat", or "" for what `twisted` says.
+        whipping: length of other colour at each end, widths of the rope.
+        mixed: whether ropes have different colours.
+        corners: light that the picture loses towards its corners, a share.
     """
 
     name: str = "photo"
@@ -111,6 +165,18 @@ class Photo(Appearance):
     warmth: float = 0.0
     exposure: float = 1.0
     jpeg: int = 100
+    look: str = "table"
+    cuts: tuple[float, ...] = ()
+    squeeze: float = 1.0
+    weave: str = ""
+    whipping: float = 0.0
+    mixed: bool = False
+    corners: float = 0.0
+
+    @property
+    def free(self) -> bool:
+        """Whether its look is free, see `Look`."""
+        return LOOKS[self.look].free
 
     @property
     def scale(self) -> float:
@@ -133,7 +199,8 @@ class Photo(Appearance):
 def drawn_look(look: Photo, rng: Rng) -> Photo:
     """Draw everything but the frame and the rope's colours."""
     # The order of the draws is part of every photo: a new one belongs at the end.
-    kind = (*SURFACES, "clutter", "ropes")[rng.integers(6)]
+    ranges = LOOKS[look.look]
+    kind = ranges.kinds[rng.integers(len(ranges.kinds))]
     surface = kind if kind in SURFACES else SURFACES[rng.integers(len(SURFACES))]
     if surface == "wood":
         first = _hsv(rng.uniform(18, 36), rng.uniform(0.3, 0.65), rng.uniform(0.3, 0.9))
@@ -141,7 +208,7 @@ def drawn_look(look: Photo, rng: Rng) -> Photo:
         last = first * rng.uniform(0.55, 0.8)
     else:
         # the power makes pale surfaces more frequent than coloured ones
-        first = _hsv(rng.uniform(0, 360), 0.65 * rng.random() ** 1.6, rng.uniform(0.15, 0.95))
+        first = _hsv(rng.uniform(0, 360), 0.65 * rng.random() ** 1.6, rng.uniform(ranges.dim, 0.95))
         last = first * rng.uniform(0.5, 0.92)
     look = replace(look, background=levels_of(first), ground=levels_of(last), surface=surface)
     drawn: dict[str, Any] = {"grain": rng.uniform(*_GRAINS[surface])}
@@ -149,11 +216,16 @@ def drawn_look(look: Photo, rng: Rng) -> Photo:
     # the upper end is excluded: 2 to 8 things, 1 to 4 ropes
     drawn["clutter"] = rng.integers(2, 9) if kind == "clutter" else 0
     drawn["others"] = rng.integers(1, 5) if kind == "ropes" else 0
-    drawn["occluders"] = rng.integers(1, 3) if rng.random() < 0.25 else 0
+    drawn["occluders"] = rng.integers(1, 3) if rng.random() < ranges.occluded else 0
     drawn["twisted"] = rng.random() < 0.5
-    drawn |= {name: rng.uniform(*ends) for name, ends in _EVENLY.items()}
+    drawn |= {name: rng.uniform(*ends) for name, ends in ranges.evenly.items()}
     drawn["blur"] *= look.size / 256
     drawn |= {"jpeg": rng.integers(45, 101), "seed": rng.integers(2**62)}
+    if ranges.free:
+        drawn["weave"] = ("", "", "braid", "flat")[rng.integers(4)]
+        drawn["twisted"] &= not drawn["weave"]
+        drawn["whipping"] = rng.uniform(0.7, 3) * (rng.random() < 0.4)
+        drawn["mixed"] = rng.random() < 0.6
     plain = {name: type(getattr(look, name))(value) for name, value in drawn.items()}
     return replace(look, **plain)
 

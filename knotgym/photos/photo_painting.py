@@ -9,6 +9,8 @@ computation, at every size.
 """
 
 import math
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,11 +18,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream
+from knotgym.common import Ids, Stream
 from knotgym.photos import photo_kernels as kernels
-from knotgym.photos.photo_look import LIMITS, SURFACES, Photo, Rng, drawn_dyes
+from knotgym.photos.photo_look import LOOKS, PHONE, SURFACES, WEAVES, Photo, Rng, drawn_dyes
 from knotgym.rendering import Appearance, Drawn, levels_of, smooth_curve
-from knotgym.topology import Crossings, Symmetry, canonical, find_crossings
+from knotgym.topology import (
+    Crossings,
+    RopesCode,
+    Symmetry,
+    canonical,
+    find_crossings,
+    find_ropes_crossings,
+)
 
 Array = NDArray[Any]
 
@@ -40,6 +49,9 @@ class Shot(Drawn):
             towards the camera above the centre of mass, metres.
         strands: uint8 (size, size), 0 where no rope is visible, else the edge of the PD code: edge
             k leads to visit k, and edge 1 passes the base. 1 everywhere without crossings.
+        ropes: axes of the open ropes that are seen, from end to end or to the picture's edge,
+            float32 (n, 3), px; none if the rope is closed and wholly seen.
+        met: numbers of the crossings that are seen.
         contrast, order, region: measured, see `Legibility`; infinity where nothing is to measure.
     """
 
@@ -47,6 +59,8 @@ class Shot(Drawn):
     crossings: Crossings
     line: Array
     strands: NDArray[np.uint8]
+    ropes: list[Array]
+    met: Ids
     contrast: float
     order: float
     region: float
@@ -54,15 +68,28 @@ class Shot(Drawn):
     @property
     def legible(self) -> bool:
         """Whether a person can decide every crossing."""
-        shown = self.contrast >= LIMITS.contrast and self.order >= LIMITS.order
+        limits = LOOKS[self.look.look].limits
+        shown = self.contrast >= limits.contrast and self.order >= limits.order
         return self.region > 0 and shown
+
+    @property
+    def seen(self) -> Ids:
+        return self.met
+
+    @property
+    def code(self) -> RopesCode:
+        """What the picture shows: the code of the closed rope, or of all open ones."""
+        if not self.ropes:
+            return RopesCode.of(self.crossings.code)
+        return find_ropes_crossings([one * (1, -1, 1) for one in self.ropes], False).code
 
     @property
     def columns(self) -> dict[str, Any]:
         """The columns of photos."""
-        names, visible = ("x", "y", "width", "height"), range(1, max(2 * self.crossings.nx, 1) + 1)
+        names, visible = ("x", "y", "width", "height"), range(1, max(2 * len(self.pixels), 1) + 1)
         boxes = [cv2.boundingRect((self.strands == k).view(np.uint8)) for k in visible]
-        shared, look = vars(Appearance()), vars(self.look)
+        shared, look = vars(Appearance()), dict(vars(self.look))
+        phone = {name: look.pop(name) for name in PHONE} | {"cuts": list(self.look.cuts)}
         photo = {name: value for name, value in look.items() if name not in shared}
         photo |= {"ground": list(self.look.ground), "rope_width": 2 * self.look.radius}
         photo |= {name: getattr(self, name) for name in ("contrast", "order", "region")}
@@ -73,6 +100,7 @@ class Shot(Drawn):
                       for k, box in zip(visible, boxes, strict=True)],
             "line": self.line.ravel().tolist(),
             "photo": photo,
+            **({"ropes_code": str(self.code), "phone": phone} if self.look.free else {}),
         }  # fmt: skip
 
 
@@ -86,6 +114,15 @@ class PhotoRope:
         self.crossings = crossings or find_crossings(self.points)
         flat = self.points - self.points.mean(axis=0)
         self.curve, self.shown = smooth_curve(flat, self.crossings.code, self.parts, _EASES)
+        self.kept = np.ones(len(self.curve), bool)
+
+    def cut(self, cuts: Sequence[float], squeeze: float) -> "PhotoRope":
+        """Squeeze the rope, and take away the pieces between shares of the vertices, two each."""
+        rope, n = copy(self), len(self.curve)
+        rope.kept, rope.curve = self.kept.copy(), self.curve * (squeeze, 1.0, 1.0)
+        for begin, end in zip(cuts[::2], cuts[1::2], strict=True):
+            rope.kept[np.arange(round(begin * n), round(end * n)) % n] = False
+        return rope
 
     def projected(self, turn: float, scale: float) -> Array:
         """Return x and y down in the picture, and height, (n, 3), of the curve."""
@@ -109,19 +146,26 @@ class PhotoView:
         middle = 0.5 * look.size + np.array([look.right, look.down, -0.5 * look.size])
         curve = rope.projected(look.turn, look.scale) + middle
         self.curve = curve.astype(np.float32)
-        self.after = np.append(np.arange(1, len(self.curve)), 0)
-        self.over, self.under = shown.over_place, shown.under_place
+        self.limits, self.free = LOOKS[look.look].limits, look.free
+        index, around = np.arange(len(self.curve)), np.append(np.arange(1, len(self.curve)), 0)
+        self.after = np.where(rope.kept, around, index)
+        flat = self.curve[:, :2]
+        inside = np.all((flat >= 0) & (flat < look.size), axis=1)
+        self.seen = rope.kept & (inside & inside[around] | (not self.free))  # pieces
+        own = np.array([shown.over_place, shown.under_place]).astype(np.int64) % len(index)
+        self.met = np.flatnonzero(self.seen[own].all(axis=0))
+        self.over, self.under = shown.over_place[self.met], shown.under_place[self.met]
+        self.whole, self.runs = bool(self.seen.all()), _runs(self.seen)
         places = np.concatenate([self.over, self.under])
         order = np.argsort(places, kind="stable")
-        self.visits, self.goes_over = places[order], order < len(self.over)
-        flat = self.curve[:, :2]
-        step = flat[self.after] - flat
-        # after - 2 is the index before, which wraps to the last
-        self.along = step + step[self.after - 2]  # about twice the direction at each point
+        self.visits, self.goes_over, self.order = places[order], order < len(self.over), order
+        step = flat[around] - flat
+        # around - 2 is the index before, which wraps to the last
+        self.along = step + step[around - 2]  # about twice the direction at each point
         self.along /= np.sqrt((self.along**2).sum(axis=1))[:, None]
         walked = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
         self.walked = walked
-        visits = np.interp(self.visits, np.arange(len(walked)), walked)
+        self.lengths = visits = np.interp(self.visits, np.arange(len(walked)), walked)
         # lengths between consecutive visits; between the base and the nearest visit
         self.apart = np.diff(visits, append=visits[:1] + walked[-1]).min(initial=np.inf)
         self.base_spacing = np.minimum(visits, walked[-1] - visits).min(initial=np.inf)
@@ -138,17 +182,21 @@ class PhotoView:
 
     def region(self, width: float) -> float:
         """Draw a rope of this width, px; return its smallest region, 0 if it isn't legible."""
-        gap, length = LIMITS.gap * self.unit, self.walked[-1]
+        limits, length = self.limits, self.walked[-1]
+        gap = limits.gap * self.unit
         # the piece two widths further along
         further = np.searchsorted(self.walked, (self.walked[:-1] + 2.0 * width) % length) - 1
         flat = self.curve[:, :2].astype(np.float64)
         if (
-            (self.sines < math.sin(math.radians(LIMITS.angle))).any()
+            (self.sines < math.sin(math.radians(limits.angle))).any()
             or self.apart < 1.5 * width + gap
             # a turn by 148 degrees: a fold whose arms touch can't be told from a small kink
-            or ((self.along * self.along[further]).sum(axis=1) < -0.85).any()
+            or ((self.along * self.along[further]).sum(axis=1) < -0.85)[self.seen].any()
             # strands of one bend or crossing, at most so long, may touch
-            or self.rope.shown.strand_spacing(flat, 4.5 * width) < width + gap
+            or not self.free
+            and self.rope.shown.strand_spacing(flat, 4.5 * width) < width + gap
+            or self.free
+            and not self._has_room(flat, width, gap)
         ):
             return 0.0
         self.stamp(0.5 * width)
@@ -161,9 +209,54 @@ class PhotoView:
         # label 0 is the rope
         areas = cv2.connectedComponentsWithStats(free, connectivity=8, ltype=cv2.CV_16U)[2][1:, -1]
         # By Euler a closed curve with nx crossings has nx + 2 faces; with fewer, the rope fills
-        # one, with more, it cuts one in two.
-        least = float(areas.min()) / self.unit**2
-        return least if len(areas) == len(self.over) + 2 and least >= LIMITS.region else 0.0
+        # one, with more, it cuts one in two. Open ropes have fewer, the parts of a drawing more, of
+        # which the frame and the ropes that it cuts are one.
+        faces = len(self.over) + 2
+        if not self.whole:
+            framed = np.pad(1 - free, 1, constant_values=1)
+            parts = cv2.connectedComponents(framed, connectivity=4, ltype=cv2.CV_16U)[0] - 1
+            faces += parts - 2 + sum(self._leaves(run) for run in self.runs) - len(self.runs)
+        least = float(areas.min(initial=self.size**2)) / self.unit**2
+        return least if len(areas) == faces and least >= limits.region else 0.0
+
+    def _leaves(self, run: Ids) -> int:
+        """Return how many ends of a rope are where the picture's edge cuts it."""
+        return int(self.rope.kept[run[0] - 1]) + int(self.rope.kept[run[-1]])
+
+    def away(self, vertex: int) -> Array:
+        """Return the lengths along the rope to a vertex, px."""
+        half = 0.5 * self.walked[-1]
+        away = (self.walked[:-1] - self.walked[vertex] + half) % self.walked[-1] - half
+        return np.abs(away)
+
+    def _has_room(self, flat: Array, width: float, gap: float) -> bool:
+        """Return whether crossings, ends and the picture's edge leave each other room."""
+        # half of the length over which strands of this width lie on each other at a crossing
+        half = 0.5 * width * (1 + np.sqrt(1 - self.sines**2)) / self.sines
+        halves = np.concatenate([half, half])[self.order]
+        steps = np.diff(self.lengths, append=self.lengths[:1] + self.walked[-1])
+        if (steps < halves + np.roll(halves, -1) + gap).any():
+            return False
+        if self.whole:
+            return True
+        owner, least = np.full(len(flat), -1), max(3 * width, 24 * self.unit)
+        for k, run in enumerate(self.runs):
+            owner[run] = k
+            if np.hypot(*np.diff(flat[run], axis=0).T).sum() < least:
+                return False
+        nearest = np.full(len(flat), np.inf)
+        for k, run in enumerate(self.runs):
+            for tip in run[[0, -1]]:
+                away = self.away(tip)
+                nearest = np.minimum(nearest, away)
+                own = (owner == k) & (away < 2.5 * width)
+                touched = np.hypot(*(flat - flat[tip]).T) < 1.2 * width + gap
+                if (touched & (owner >= 0) & ~own).any():
+                    return False
+        # what is half seen at the edge is a rope that leaves there
+        beyond = np.maximum(-flat, flat - self.size).max(axis=1)
+        grazes = self.rope.kept & (owner < 0) & (beyond < 0.5 * width + gap)
+        return bool(self.runs) and not (grazes & (nearest > 2.5 * width)).any()
 
     def at(self, places: Array) -> Array:
         """Return x and y (n, 2) of places along the curve."""
@@ -173,8 +266,9 @@ class PhotoView:
 
     def beside(self) -> tuple[Array, Array]:
         """Return pixels (n, 2), x and y, on the rope, and on the background beside each."""
-        inner = self.curve[::2, :2]
-        off = (self.radius + 1.5) * self.along[::2, ::-1] * np.array([-1, 1], np.float32)
+        shown = np.flatnonzero(self.seen)[::2]
+        inner = self.curve[shown, :2]
+        off = (self.radius + 1.5) * self.along[shown, ::-1] * np.array([-1, 1], np.float32)
         inner, outer = np.concatenate([inner, inner]), np.concatenate([inner - off, inner + off])
         inner, outer = inner.astype(np.int64), outer.astype(np.int64)
         x, y = np.clip(outer, 0, self.size - 1).T
@@ -198,12 +292,22 @@ class PhotoView:
         apart = [_lengths(rope[:, None] - one) for one in (lit, shaded)]
         contrast = np.min([_low_of(one) for one in apart], axis=0)
         # where the rope is dark, shadows don't show which strand is over
-        fits = (contrast > LIMITS.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * LIMITS.order)
+        limits = self.limits
+        fits = (contrast > limits.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * limits.order)
         best = int(np.argmax(fits)) if fits.any() else int(np.argmax(contrast + rope[:, 0]))
         first = second = dyes[best]
         if look.twisted and rng.random() < 0.3:
             second = first * rng.uniform(0.6, 0.9)
         return replace(look, first=levels_of(first), last=levels_of(second))
+
+
+def _runs(seen: NDArray[np.bool_]) -> list[Ids]:
+    """Return the vertices of each run of pieces round a closed curve; none if all are seen."""
+    start = int(np.argmin(seen))
+    turned = np.roll(seen, -start) & ~seen.all()
+    changes = np.flatnonzero(np.diff(turned.astype(int), append=0)) + 1
+    pairs = zip(changes[::2], changes[1::2], strict=True)
+    return [(np.arange(begin, end + 1) + start) % len(seen) for begin, end in pairs]
 
 
 def _reach(radius: float) -> float:
@@ -288,11 +392,18 @@ def painted(
     colours[:, 0], colours[:, 1] = look.first, look.last
     if look.marked:
         colours[: rope.parts], colours[-rope.parts :] = 240, _TAPE
+    for k, run in enumerate(view.runs if look.mixed else ()):
+        colours[run] = np.roll(colours[run[0]], k, axis=-1)
+    # whipping, or the tape that joins a closed rope
+    tips = [int(tip) for run in view.runs for tip in run[[0, -1]]] or [0]
+    for tip in tips if look.whipping else ():
+        colours[view.away(tip) < look.whipping * 2 * view.radius] = 255 - 0.9 * colours[tip, 0]
     curve, after = view.curve, view.after
     if look.others:
         curve, after, colours = _with_others(view, look, colours, grain)
     step = curve[after] - curve
     length = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
+    weave = WEAVES.index(look.weave) if look.weave else int(look.twisted)
     turns = max(round(length[n] / (2 * look.pitch * view.radius)), 1)  # whole, to have no seam
     tangent = step.copy()
     np.add.at(tangent, after, step)
@@ -302,7 +413,7 @@ def painted(
     kernels.compose(
         picture, strands, view.visits, view.square, view.place, curve, after,
         tangent.astype(np.float32), (length * turns / length[n]).astype(np.float32), colours,
-        np.array(lamp, np.float32), look.twisted, texture, grown, n
+        np.array(lamp, np.float32), weave, texture, grown, n
     )  # fmt: skip
     if look.occluders:
         # what is covered is visible no more
@@ -312,7 +423,8 @@ def painted(
     contrast, order = _contrasts(view, picture, *beside)
     line = view.curve[:: rope.parts].copy()
     line[:, 2] = rope.curve[:: rope.parts, 2]
-    answers = view.at(view.over), rope.points, rope.crossings, line, strands
+    ropes = [view.curve[run] for run in view.runs]
+    answers = view.at(view.over), rope.points, rope.crossings, line, strands, ropes, view.met
     shot = Shot(picture, look, *answers, contrast, order, region)
     seen = exposed and (rng is None or shot.legible)
     return replace(shot, image=_exposed(picture, look)) if seen else shot
@@ -321,7 +433,7 @@ def painted(
 def _exposed(picture: Array, look: Photo) -> Array:
     """Add what the lamp and the camera do to a picture, which is changed."""
     gain = look.exposure * np.array([1 + 0.5 * look.warmth, 1.0, 1 - 0.5 * look.warmth])
-    slope = (look.falloff * look.light[:2]).astype(np.float32)
+    slope = np.array([*look.falloff * look.light[:2], look.corners], np.float32)
     kernels.expose(picture, gain.astype(np.float32), slope, look.noise, look.seed)
     if look.jpeg < 100:
         quality = [cv2.IMWRITE_JPEG_QUALITY, look.jpeg]

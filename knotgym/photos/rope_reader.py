@@ -227,20 +227,15 @@ def _averaged(network: StrandNetwork, picture: Tensor, views: int) -> Fields:
 
 def _turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
     """Return the fields of a picture that was flipped or not, and then turned by quarters."""
-    lines, upper, base, along = (torch.rot90(part, -turns, (-2, -1)) for part in fields)
+    lines, upper = (torch.rot90(part, -turns, (-2, -1)) for part in fields)
     # torch.rot90 turns the picture by -90 degrees as angles go here (y down)
     lines = torch.roll(lines, turns * (ORIENTATIONS // 2), 1)
     upper = upper * (-1) ** turns
-    for _ in range(turns):
-        along = torch.stack([-along[:, 1], along[:, 0]], 1)
     if flip:
-        lines, upper, base, along = (
-            torch.flip(part, (-1,)) for part in (lines, upper, base, along)
-        )
+        lines, upper = (torch.flip(part, (-1,)) for part in (lines, upper))
         lines = lines[:, -torch.arange(ORIENTATIONS) % ORIENTATIONS]
         upper = upper * torch.tensor([1.0, -1.0], device=upper.device)[:, None, None]
-        along = along * torch.tensor([-1.0, 1.0], device=along.device)[:, None, None]
-    return Fields(lines, upper, base, along)
+    return Fields(lines, upper)
 
 
 def _reading(fields: Fields, shape: Sequence[int], shift: Array, step: float) -> PhotoReading:

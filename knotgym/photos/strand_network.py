@@ -19,6 +19,8 @@ from torch.nn import functional
 
 ORIENTATIONS = 16  # an even number, so that a quarter turn permutes them
 CELL = 2  # pixels
+# lines and upper strands; networks of earlier versions also have the base bead and its direction
+_OUTPUTS = (ORIENTATIONS, 2, 1, 2)
 _WIDTHS = (24, 32, 48, 80, 112)  # channels at 1, 1/2, 1/4, 1/8 and 1/16 of the picture's side
 
 
@@ -31,20 +33,16 @@ class Fields(NamedTuple):
             those of its sides.
         upper: (n, 2, h, w), direction of the upper strand at a crossing, doubled; shorter than 1
             where it is unsure.
-        base: (n, h, w), logit that the white base bead is here.
-        along: (n, 2, h, w), direction in which the rope leaves the base bead.
     """
 
     lines: Tensor
     upper: Tensor
-    base: Tensor
-    along: Tensor
 
 
 class StrandNetwork(nn.Module):
-    """A U-Net of residual blocks."""
+    """A U-Net of residual blocks; of `outputs` those behind the first 18 are not used."""
 
-    def __init__(self) -> None:
+    def __init__(self, outputs: int = sum(_OUTPUTS[:2])) -> None:
         super().__init__()
         self.stem = _Convolution(3, _WIDTHS[0])
         self.down, self.encode, self.decode, self.up = (nn.ModuleList() for _ in range(4))
@@ -55,14 +53,16 @@ class StrandNetwork(nn.Module):
         for above, width in zip(_WIDTHS[1:], _WIDTHS[2:], strict=False):
             self.up.append(nn.Conv2d(width, above, 1))
             self.decode.append(_Block(above))
-        self.head = nn.Sequential(_Convolution(_WIDTHS[1], 48), nn.Conv2d(48, ORIENTATIONS + 5, 1))
+        self.head = nn.Sequential(_Convolution(_WIDTHS[1], 48), nn.Conv2d(48, outputs, 1))
         # at first nearly every cell is predicted to be empty, as nearly every cell is
         nn.init.constant_(self.head[-1].bias, 0.0)
         nn.init.constant_(self.head[-1].bias[:ORIENTATIONS], -4.0)
-        nn.init.constant_(self.head[-1].bias[ORIENTATIONS + 2], -4.0)
 
     def forward(self, pictures: Tensor) -> Fields:
         """Find strands in pictures (n, 3, side, side), levels 0 to 255."""
+        return Fields(*self._outputs(pictures)[:2])
+
+    def _outputs(self, pictures: Tensor) -> tuple[Tensor, ...]:
         # exposure and tint say nothing about the rope
         mean = pictures.mean(dim=(2, 3), keepdim=True)
         deviation = pictures.std(dim=(1, 2, 3), keepdim=True)
@@ -78,16 +78,14 @@ class StrandNetwork(nn.Module):
             )
             x = decode(wide + levels.pop())
         out = self.head(x)
-        k = ORIENTATIONS
-        upper, base, along = out[:, k:].split((2, 1, 2), 1)
-        return Fields(out[:, :k], upper, base[:, 0], along)
+        return out.split(_OUTPUTS[: 2 if out.shape[1] == sum(_OUTPUTS[:2]) else 4], 1)
 
     def signature(self) -> Tensor:
         """Return what the network makes of two oblique stripes."""
         y, x = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
         stripes = ((x - 2 * y).abs() < 9) | ((x + y - 60).abs() < 5)
         picture = (200.0 * stripes + x)[None, None].expand(1, 3, -1, -1)
-        return torch.cat([part.flatten()[:: part.numel() // 12] for part in self(picture)])
+        return torch.cat([part.flatten()[:: part.numel() // 12] for part in self._outputs(picture)])
 
 
 class _Convolution(nn.Sequential):

@@ -32,8 +32,8 @@ class AppearanceKind:
         obeys: whether pictures of environments can have views, depth, a perspective camera and
             MuJoCo's renderer.
         tilted: whether a tilted camera sees the ropes of a table; points are in its axes.
-        columns: "package:file" of a TOML file of the columns that its tables have beside the
-            others, in the notation of `knotgym/datasets/columns.toml`; "" for none.
+        columns: "package:file" of TOML files of the columns that its tables have beside the others,
+            or that some have, in the notation of `knotgym/datasets/columns.toml`.
         grained: whether each pixel differs from the next, which PNG files are stored by.
     """
 
@@ -44,14 +44,16 @@ class AppearanceKind:
     marks: tuple[str, ...] = ()
     obeys: bool = False
     tilted: bool = False
-    columns: str = ""
+    columns: tuple[str, ...] = ()
     grained: bool = False
 
     @cached_property
-    def own_columns(self) -> dict[str, Any]:
-        """The columns that tables of the appearance alone have: name -> type and doc."""
-        package, _, file = self.columns.partition(":")
-        return tomllib.loads((files(package) / file).read_text("utf-8")) if file else {}
+    def own_columns(self) -> list[dict[str, Any]]:
+        """The columns of each file: name -> type and doc."""
+        places = [one.split(":") for one in self.columns]
+        return [
+            tomllib.loads((files(package) / file).read_text("utf-8")) for package, file in places
+        ]
 
 
 APPEARANCES: dict[str, AppearanceKind] = {
@@ -72,7 +74,7 @@ APPEARANCES: dict[str, AppearanceKind] = {
         says="rope of one colour on a table, as a camera sees it",
         drawer="knotgym.photos.photo:PhotoDrawer",
         tilted=True,
-        columns="knotgym.photos:photo_columns.toml",
+        columns=("knotgym.photos:photo_columns.toml", "knotgym.photos:phone_columns.toml"),
         grained=True,
     ),
 }
@@ -98,6 +100,7 @@ _Range = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ordered)
 AppearanceName = Annotated[str, choice(growing=APPEARANCES, help=_appearance_help)]
 
 
+_Few = Annotated[int, Field(ge=1, le=4)]
 _Side = Annotated[int, Field(ge=_SIZES[0], le=_SIZES[1])]
 
 
@@ -118,6 +121,11 @@ class AppearanceConfig:
         tilt: largest tilt of a photo's camera, degrees.
         marked: share of photos in which tape marks the base bead, white, and the bead before it,
             red.
+        look: of photos: table (closed rope), or phone (what phones and laboratories take: open and
+            several ropes, cropped, 3 to 30 pixels of 256 wide, crossing at 8 degrees or more).
+        ropes: numbers of ropes of a photo of look phone: 2, 1,2 or 1-4; several are open.
+        open: share of these photos of one rope in which it is open.
+        cropped: share of them in which the picture's edge cuts the rope.
     """
 
     SIZES: ClassVar[tuple[int, int]] = _SIZES
@@ -131,6 +139,10 @@ class AppearanceConfig:
     blur: NonNegativeFloat = 0.6
     tilt: Annotated[float, Field(ge=0, le=TILT)] = TILT
     marked: Share = 0.2
+    look: Annotated[str, choice("table", "phone")] = "table"
+    ropes: Annotated[tuple[_Few, ...], Distinct] = (1,)
+    open: Share = 0.5
+    cropped: Share = 0.3
 
     def __post_init__(self) -> None:
         kind = APPEARANCES[self.name]

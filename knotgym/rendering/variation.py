@@ -98,12 +98,17 @@ class Drawn:
     Attributes:
         image: uint8 (size, size, 3), RGB.
         look: its appearance.
-        pixels: float64 (nx, 2), x and y of the crossings, in order of labels.
+        pixels: float64 (n, 2), x and y of the crossings that are seen, in order of labels.
+        seen: which of the rope's crossings these are.
     """
 
     image: NDArray[np.uint8]
     look: Any
     pixels: Array
+
+    @property
+    def seen(self) -> Any:
+        return slice(None)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -119,11 +124,11 @@ class Drawer:
     Attributes:
         look: class of the appearances of single pictures.
         colours: of the rope, where they don't vary, see `Appearance`.
-        struct: own column that holds the fields of `look` which the column `appearance` lacks.
+        structs: own columns that hold the fields of `look` which the column `appearance` lacks.
     """
 
     look: ClassVar[type[Appearance]] = Appearance
-    struct: ClassVar[str] = ""
+    structs: ClassVar[tuple[str, ...]] = ()
     colours: ClassVar[str] = "published"
 
     def __init__(self, name: str) -> None:
@@ -242,10 +247,12 @@ class Drawer:
 
     def read(self, row: Mapping[str, Any]) -> Appearance:
         """Read the appearance of a picture from its row, as `read_rows` gives it."""
-        values = {**row["appearance"], **(row[self.struct] if self.struct else {})}
+        own = [row[name] for name in ("appearance", *self.structs) if name in row]
+        values = {name: value for one in own for name, value in one.items()}
         given: dict[str, Any] = {
             one.name: tuple(value) if isinstance(value := values[one.name], list) else value
             for one in fields(self.look)
+            if one.name in values
         }
         return self.look(**given)
 

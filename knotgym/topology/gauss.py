@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from operator import index
 
@@ -354,8 +354,8 @@ class RopesCode:
         visits[k] = visits[k][::-1]
         return self._relabelled(visits, letters)
 
-    def smallest(self) -> RopesCode:
-        """Return the smallest code of these curves, in this order, walked in any direction.
+    def smallest(self, *, ordered: bool = True) -> RopesCode:
+        """Return the smallest code of these curves, in this or any order, walked in any direction.
 
         Closed curves are walked from any place, open ones from either end. Codes are compared by
         their visits, curve by curve, then by chirality: equal codes are those of one picture.
@@ -363,13 +363,22 @@ class RopesCode:
         >>> str(RopesCode.parse("1+,1-", closed=False).smallest())
         '1-,1+'
         """
-        best: list[tuple[RopesCode, tuple[tuple[int, ...], ...]]] = [(self, ())]
+        best = [self]
         for k in range(len(self.visits)):
             # labels of a curve depend on those before it alone, so only the smallest are followed
-            found = [(code, code.visits[: k + 1]) for start, _ in best for code in start._walks(k)]
-            least = min(visits for _, visits in found)
-            best = list({code: visits for code, visits in found if visits == least}.items())
-        return min((code for code, _ in best), key=lambda code: code.chirality or "")
+            starts = best if ordered else [one for code in best for one in code._brought(k)]
+            found = {code: (code.closed[: k + 1], code.visits[: k + 1])
+                     for start in starts for code in start._walks(k)}  # fmt: skip
+            least = min(found.values())
+            best = [code for code, begin in found.items() if begin == least]
+        return min(best, key=lambda code: code.chirality or "")
+
+    def _brought(self, k: int) -> Iterator[RopesCode]:
+        """Yield the codes with each curve from k on brought to place k."""
+        for j in range(k, len(self.visits)):
+            order = [*range(k), j, *(i for i in range(k, len(self.visits)) if i != j)]
+            moved = replace(self, closed=tuple(self.closed[i] for i in order))
+            yield moved._relabelled([self.visits[i] for i in order], self.chirality)
 
     def _walks(self, k: int) -> Iterator[RopesCode]:
         """Yield the codes with curve k walked both ways and, if it is closed, from every place."""

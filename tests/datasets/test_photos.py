@@ -52,6 +52,20 @@ def test_a_photo_and_its_answers_are_taken_again_from_its_row(rows: list[dict[st
         assert 0 < row["photo"]["tilt"] <= 25 and row["photo"]["marked"]
 
 
+def test_a_table_of_cut_ropes_is_read_verified_and_exported(tmp_path: Path) -> None:
+    config = AppearanceConfig(name="photo", look="phone", ropes=(1, 2, 3), sizes=(128,))
+    states = read_states(shipped("bench"), images=False)
+    ropes = states.points[states.rows(3, "test")[:6]]
+    path = tmp_path / "test.parquet"
+    path.write_bytes(parquet(drawn_table(picture_rows(ropes, "test"), config)))
+    held = list(read_rows(path))
+    assert len({row["ropes_code"].count(";") for row in held}) > 1
+    for row in held:
+        assert [*_picture_faults(dict(row))] == [] and row["phone"]["look"] == "phone"
+    assert [*_picture_faults(held[0] | {"ropes_code": "1+,1-,2+,2-"})] != []
+    export(str(path), tmp_path / "coco", "coco", replay)
+
+
 def test_boxes_hold_their_strands(rows: list[dict[str, Any]]) -> None:
     for row in rows:
         strands = decode(row["strands"])[..., 0]

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from knotgym.photos.photo import photograph, take
 from knotgym.photos.photo_painting import Shot
+from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
-from knotgym.topology import pd_text
+from knotgym.topology import RopesCode, pd_text
 
 Array = NDArray[np.float64]
 PHOTOS = int(os.environ.get("PHOTOS", "12"))
@@ -142,6 +143,50 @@ def test_a_plain_loop_is_one_strand() -> None:
     loop = read_states(shipped(), images=False).points[0]
     shot = photograph(loop, 128, np.random.default_rng(0))
     assert shot is not None and [one["strand"] for one in shot.columns["boxes"]] == [1]
+
+
+def left_over(shot: Shot) -> RopesCode:
+    """Return the code of what cuts and the picture's edge leave of a rope, from its closed code."""
+    n, fine, look = len(shot.line), 16, shot.look
+    ring = np.concatenate([shot.line, shot.line[:1]])[:, :2]
+    places = np.arange(n * fine) / fine
+    at = np.stack([np.interp(places, np.arange(n + 1), ring[:, k]) for k in (0, 1)], axis=1)
+    seen = ((at >= 0) & (at < look.size)).all(axis=1)
+    for begin, end in zip(look.cuts[::2], look.cuts[1::2], strict=True):
+        seen &= (places / n - begin) % 1 >= end - begin
+    both = zip(shot.crossings.over_place, shot.crossings.under_place, strict=True)
+    visits = [
+        (int(place * fine), k, sign) for k, pair in enumerate(both)
+        if all(seen[int(place * fine)] for place in pair)
+        for place, sign in zip(pair, "+-", strict=True)
+    ]  # fmt: skip
+    if seen.all():
+        return RopesCode.of(shot.crossings.code.plain)
+    start, texts, names = int(np.argmin(seen)), [""], dict[int, int]()
+    for k in (start + 1 + np.arange(len(seen))) % len(seen):
+        if not seen[k] and seen[k - 1]:
+            texts.append("")
+        for _, crossing, sign in (visit for visit in sorted(visits) if visit[0] == k):
+            texts[-1] += f"{names.setdefault(crossing, len(names) + 1)}{sign},"
+    return RopesCode.parse(";".join(one.strip(",") for one in texts[:-1]), closed=False)
+
+
+def test_a_photo_of_cut_ropes_has_the_code_of_what_is_left() -> None:
+    states, rng, kinds = (
+        read_states(shipped("bench"), images=False),
+        np.random.default_rng(3),
+        set(),
+    )
+    for row in rng.choice(np.flatnonzero(states.nx > 2), 3 * PHOTOS).tolist():
+        config = AppearanceConfig(look="phone", ropes=(1, 2, 3), cropped=0.5)
+        shot = photograph(states.points[row], 256, rng, config=config)
+        if shot is not None:
+            wanted = left_over(shot).smallest(ordered=False)
+            assert shot.code.plain.smallest(ordered=False) == wanted
+            assert len(shot.pixels) == shot.code.nx
+            assert np.array_equal(take(shot.points, shot.look).image, shot.image)
+            kinds.add((len(shot.ropes), shot.code.nx > 1))
+    assert len(kinds) > 4
 
 
 def test_things_on_the_rope_cover_straight_pieces_of_single_strands_and_no_tape() -> None:

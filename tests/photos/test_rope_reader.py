@@ -37,16 +37,15 @@ def same_diagram(reading: PhotoReading, code: GaussCode) -> bool:
 
 
 def projected(points: Array, closed: bool) -> tuple[Array, Tensor]:
-    """Return a rope (beads, 3) in pixels of a picture that it fills, and its line (1, m, 2)."""
+    """Return a rope (beads, 3) in pixels of a picture that it fills, and its line (1, m, 3)."""
     low, high = points.min(axis=0), points.max(axis=0)
     scale = 220 / (high - low)[:2].max()
     pixels = (points - 0.5 * (low + high)) * (scale, -scale, 1) + (SIDE / 2, SIDE / 2, 0)
     path = np.concatenate([pixels, pixels[:1]]) if closed else pixels
     fine = np.linspace(0, len(path) - 1, 512, endpoint=not closed)
     line = np.stack([np.interp(fine, np.arange(len(path)), path[:, k]) for k in (0, 1)], axis=1)
-    if not closed:  # there and back, as what draws lines closes them
-        line = np.concatenate([line, line[-2:0:-1]])
-    return pixels, torch.from_numpy(line[None]).float()
+    joined = np.arange(len(line)) < len(line) - (not closed)
+    return pixels, torch.from_numpy(np.column_stack([line, joined])[None]).float()
 
 
 def drawn(points: Array, closed: bool = True) -> Fields:
@@ -62,7 +61,7 @@ def drawn(points: Array, closed: bool = True) -> Fields:
         away = (x - at[0] / CELL + 0.5) ** 2 + (y + at[1] / CELL + 0.5) ** 2
         upper[:, away < nearest] = np.array([np.cos(twice), np.sin(twice)])[:, None]
         nearest = np.minimum(nearest, away)
-    return Fields(lines, upper, np.zeros_like(lines[0]), upper)
+    return Fields(lines, upper)
 
 
 def read(fields: Fields) -> PhotoReading:
