@@ -145,11 +145,11 @@ def tilted(points: Array, tilt: float, heading: float) -> Array:
 
 def take(points: Array, look: Photo) -> Shot:
     """Take the photo of points (beads, 3) in the camera's axes with an appearance."""
-    return _taken(PhotoRope(points, look.size).cut(look.cuts, look.squeeze), look)
+    return _taken(PhotoRope(points, look.size), look)
 
 
 def _taken(rope: PhotoRope, look: Photo) -> Shot:
-    view = PhotoView(rope, look)
+    view = PhotoView(rope.cut(look.cuts, look.squeeze), look)
     # `region` stamps only what may be legible; a given appearance is shown in any case
     region = view.region(2 * look.radius)
     if not region:

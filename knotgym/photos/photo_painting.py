@@ -118,6 +118,8 @@ class PhotoRope:
 
     def cut(self, cuts: Sequence[float], squeeze: float) -> "PhotoRope":
         """Squeeze the rope, and take away the pieces between shares of the vertices, two each."""
+        if not cuts and squeeze == 1:
+            return self
         rope, n = copy(self), len(self.curve)
         rope.kept, rope.curve = self.kept.copy(), self.curve * (squeeze, 1.0, 1.0)
         for begin, end in zip(cuts[::2], cuts[1::2], strict=True):
