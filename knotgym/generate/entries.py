@@ -35,7 +35,8 @@ from knotgym.runs import Progress, executor, identity
 from knotgym.runs import Result as Kept
 from knotgym.states import is_bundled, resolve_states
 
-_DRAWN = 4  # episodes of a setup that a policy of the package plays again
+# episodes of a setup that a policy of the package plays again: one that plans, and another
+_DRAWN, _MANY = 4, 512
 _RAISED = KnotgymError, LookupError, TypeError, ValueError  # by attributes of a stranger's
 
 
@@ -89,7 +90,7 @@ class Entry(NamedTuple):
                 ]
                 claimed = self.claimed[number]
                 if not faults and repeats(policy, claimed.get("versions")):
-                    some = [*chain(*seeds)][:_DRAWN]
+                    some = [*chain(*seeds)][: _DRAWN if policy.plans else _MANY]
                     drawn = stored.select(np.arange(len(some)))
                     if (row := acted_otherwise(policy, task, drawn, some)) is not None:
                         what = f"{policy.policy}, played again, pulls otherwise"

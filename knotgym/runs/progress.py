@@ -108,8 +108,9 @@ class Progress:
                 words += [f"{fact} {value}" for fact, value in self._facts.items()]
                 self._bars.update(self._task.id, completed=done, facts="; ".join(words))
             elif self._ends is not None:
-                left = max(1.0, self._ends - self._clock())
-                self._bars.update(self._task.id, facts=f"about {left:.0f} s left")
+                left = self._ends - self._clock()
+                told = f"about {left:.0f} s left" if left >= 1 else "it takes longer than usual"
+                self._bars.update(self._task.id, facts=told)
 
     def _line(self) -> str:
         """Return the stage, how far it is, and the time left."""

@@ -94,6 +94,18 @@ def test_a_step_takes_few_bytes(tmp_path: Path, policy: str, most: int) -> None:
     assert not rows_of(tmp_path / "entry.h5")[1]
 
 
+def test_an_entry_under_the_name_of_a_policy_of_the_package_is_found_out(
+    made: Made, tmp_path: Path
+) -> None:
+    """The expert's pulls are random's, by the file's own words, and the other way round."""
+
+    def _swap(said: dict[str, Any], own: Any, steps: Any) -> None:
+        said["config"]["policies"] = said["config"]["policies"][::-1]
+
+    forgery = forged(made[0], tmp_path / "swapped.h5", _swap)
+    assert any("played again, pulls otherwise" in fault for fault in verify(forgery))
+
+
 def test_the_command_verifies_an_entry(made: Made, capsys: Capture) -> None:
     assert knotgym("dataset", "verify", made[0]) == 0
     said = "".join(capsys.readouterr())
