@@ -325,7 +325,7 @@ def _write_rows(
 def _shares(parts: str) -> dict[str, float]:
     words = [_PART.fullmatch(word.strip()) for word in parts.split(",")]
     shares = {word[1]: float(word[2]) for word in words if word}
-    if len(shares) < len(words):
+    if len({*map(str.casefold, shares)}) < len(words):  # some disks take both for one name
         raise InvalidInput(f"parts are such as train=0.8,val=0.2, got {parts!r}")
     if len(shares) < 2 or min(shares.values()) <= 0 or abs(sum(shares.values()) - 1) > 1e-6:
         raise InvalidInput(f"parts are at least 2 fractions above 0 that add up to 1, got {shares}")

@@ -146,7 +146,7 @@ def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
     first, own = ({*one["goal"].tolist()} for one in rows)
     said = f"3 of its 3 starts, {len(first & own)} of its {len(own)} goals stand in b-train.h5"
     assert f"{said}, too; only states without crossings may" in kept(parts[1], parts[0])
-    for wrong in ("a=1", "a=0.5,b=0.6", "a=x,b=1", "a=0.5,a=0.5", ""):
+    for wrong in ("a=1", "a=0.5,b=0.6", "a=x,b=1", "a=0.5,a=0.5", "a=0.5,A=0.5", ""):
         with pytest.raises(InvalidInput):
             split(path, wrong, out=tmp_path / "c.h5")
 
