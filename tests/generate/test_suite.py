@@ -170,3 +170,13 @@ def test_a_set_is_the_known_one_or_says_what_it_is(
         one.write_bytes(whole)
     known[name]["values"] = "0" * 64
     assert knotgym(*words) == 1 and "has other values" in capsys.readouterr().out
+
+
+@pytest.mark.thorough
+def test_a_tier_that_is_made_here_is_the_known_one(tmp_path: Path, capsys: Capture) -> None:
+    task = ("--task", "tie", "--nx", "2", "--states", "bench", "--policy", "random")
+    words = ("suite", *task, "--size", "10k", "--out", tmp_path)
+    assert knotgym(*words, "--workers", "1", "--quiet") == 0
+    assert knotgym(*words, "--verify") == 0
+    card = (tmp_path / "knotgym" / "README.md").read_text(encoding="utf-8")
+    assert "tie-nx2/random-chain-bench-10k-v0" in capsys.readouterr().out and "| yes |" in card
