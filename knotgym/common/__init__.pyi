@@ -4,6 +4,7 @@ from .atomic_files import atomic_write as atomic_write
 from .atomic_files import code_sha256 as code_sha256
 from .atomic_files import move_into_place as move_into_place
 from .atomic_files import remove as remove
+from .atomic_files import require_apart as require_apart
 from .atomic_files import require_no_links as require_no_links
 from .atomic_files import require_output as require_output
 from .atomic_files import require_own as require_own

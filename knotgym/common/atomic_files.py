@@ -16,6 +16,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import cache
+from itertools import permutations
 from pathlib import Path
 
 from knotgym.common.configurations import read_json
@@ -64,6 +65,14 @@ def require_output(
     _put_back(target)
     _require_free(target, folder, overwrite)
     _require_writable(target)
+
+
+def require_apart(*outputs: Path | None) -> None:
+    """Raise Occupied if two of a command's outputs are one, or one lies in another."""
+    wanted = [(one, one.parent.resolve() / one.name) for one in outputs if one is not None]
+    for (one, place), (other, other_place) in permutations(wanted, 2):
+        if place.is_relative_to(other_place):
+            raise Occupied(f"{one} and {other} are two outputs of one command; name them apart")
 
 
 def _require_free(target: Path, folder: bool, overwrite: bool) -> None:

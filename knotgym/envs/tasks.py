@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 import knotgym
 from knotgym.common import Distinct, InvalidInput, Kinds, Mark, choice, configuration
 from knotgym.envs.observations import LAYOUTS, OBSERVATIONS
-from knotgym.quality import RESET_NOISE
+from knotgym.quality import Quality
 from knotgym.rendering import APPEARANCES, AppearanceName, CameraName, PictureConfig, Views
 from knotgym.rope import ENGINES, MUJOCO, VIEWS, EngineName
 from knotgym.states import SPLITS
@@ -141,7 +141,7 @@ class TaskConfig:
     hold: Annotated[PositiveInt, _RULES, _READ] = 1
     endless: Annotated[bool, _RULES] = False
     tow_limit: Annotated[PositiveFloat | None, _RULES, _READ] = None
-    reset_noise: Annotated[float, Field(ge=0, lt=1), _RULES] = RESET_NOISE
+    reset_noise: Annotated[float, Field(ge=0, lt=1), _RULES] = Quality.RESET_NOISE
     image_size: Annotated[int, Field(ge=16, le=2048), _LOOK] = 128
     views: Annotated[Views, _LOOK] = ("top",)
     depth: Annotated[bool, _LOOK] = False

@@ -11,7 +11,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import chain, islice, permutations
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from knotgym.common import (
     Occupied,
     Stream,
     atomic_write,
+    require_apart,
     require_output,
     sha256,
 )
@@ -99,14 +100,6 @@ def _films(
     ]
 
 
-def _require_apart(*outputs: Path | None) -> None:
-    """Raise Occupied if two of a command's outputs are one, or one lies in another."""
-    wanted = [(one, one.parent.resolve() / one.name) for one in outputs if one is not None]
-    for (one, place), (other, other_place) in permutations(wanted, 2):
-        if place.is_relative_to(other_place):
-            raise Occupied(f"{one} and {other} are two outputs of one command; name them apart")
-
-
 def _require_playable(config: EvaluateConfig) -> None:
     """Refuse setups whose policies don't fit, before any work is done."""
     for policy, task in config.setups():
@@ -155,7 +148,7 @@ def evaluate(
         raise InvalidInput(f"a shard {wrong}")
     if video is not None:
         rendering.Film(video)
-    _require_apart(out, video, record)
+    require_apart(out, video, record)
     _require_playable(config)
     made_by, results, films = runs.identity(config), list[Result](), list[Episodes]()
     compiles: dict[str, Any] = {"engine": config.task.engine}

@@ -19,8 +19,8 @@ from knotgym.common import (
     InvalidFile,
     InvalidInput,
     MissingFile,
-    Occupied,
     atomic_write,
+    require_apart,
     require_output,
 )
 from knotgym.learn.card import ROPE_READER, policy_folder
@@ -111,8 +111,7 @@ def read_photos(
     if out is not None and out.suffix not in (".json", ".csv"):
         raise InvalidInput(f"--out must end in .json or .csv, got {out}")
     drawn = [None if overlays is None else overlays / name for name in _names(files)]
-    if out is not None and overlays is not None and out.resolve() == overlays.resolve():
-        raise Occupied(f"{out} and {overlays} are two outputs of one command; name them apart")
+    require_apart(out, overlays)
     for one in filter(None, drawn):  # a photo may lie there
         replaces = options.overwrite or options.resume
         require_output(one, folder=False, overwrite=replaces, reads=files)

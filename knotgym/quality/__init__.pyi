@@ -1,5 +1,4 @@
 from .limits import GRADES as GRADES
-from .limits import RESET_NOISE as RESET_NOISE
 from .limits import Limits as Limits
 from .limits import Quality as Quality
 from .limits import grade_of as grade_of

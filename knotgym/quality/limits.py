@@ -12,11 +12,6 @@ from pydantic import Field
 
 from knotgym.common import InvalidInput, Mark, configuration
 
-# Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
-# at which `Quality.noise_survival` is measured.
-RESET_NOISE = 0.015
-
-
 # Difficulty of reading a picture, in four grades. A single crossing that can't be made out spoils
 # the whole code, so the worst of five measures, in units of its limit, decides. The other limits
 # (margin, clearance, twist, survival of noise) concern the rope rather than the reading.
@@ -64,6 +59,9 @@ class Quality:
     """
 
     UNITS: ClassVar[dict[str, str]]  # of the measures by name
+    # Scale of the reset noise, radians per joint and metres: the environment's default, and the
+    # scale at which `noise_survival` is measured.
+    RESET_NOISE: ClassVar[float] = 0.015
 
     crossing_angle: float = _measure("degrees", "smallest angle between two crossing strands")
     crossing_spacing: float = _measure("pixels", "smallest distance between two crossings")

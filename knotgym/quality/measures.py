@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from knotgym.common import Array, Ids, Stream, inner, kernel
-from knotgym.quality.limits import RESET_NOISE, Quality
+from knotgym.quality.limits import Quality
 from knotgym.rendering import PictureConfig
 from knotgym.rope import Rope
 from knotgym.topology import (
@@ -108,7 +108,7 @@ def base_spacing(
 
 def noise_survival(
     points: ArrayLike,
-    scale: float = RESET_NOISE,
+    scale: float = Quality.RESET_NOISE,
     rng: np.random.Generator | None = None,
     draws: int = NOISE_DRAWS,
 ) -> float:
@@ -116,7 +116,7 @@ def noise_survival(
 
     Args:
         points: float64 (beads, 3), metres.
-        scale: of the noise, see `RESET_NOISE`.
+        scale: of the noise, see `Quality.RESET_NOISE`.
         rng: generator of the noise; by default one that is seeded with a digest of the points, so
             that the fraction can be computed again from them alone.
         draws: number of draws.
