@@ -298,7 +298,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
         with InvalidFile.instead(f"{path} has no valid tasks", KnotgymError, KeyError, TypeError):
             if rows["setup"].max(initial=0) >= len(opened.tasks):
                 raise InvalidFile("its episodes are of more tasks than it lists")
-    return _chosen(_unpacked(opened) if attributes["form"] == "recording" else opened, source)
+    return _chosen(_unpacked(opened) if opened.episodes.is_recording else opened, source)
 
 
 def _chosen(opened: EpisodeDataset, source: Any) -> EpisodeDataset:

@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from knotgym.control import PolicyConfig, compile_planning, make_policy, replay
 from knotgym.datasets import Episodes, MinariMetadata, machine, open_episodes, publish
 from knotgym.envs import TaskConfig
 from knotgym.generate.episode_configs import CollectConfig, plain_id
-from knotgym.generate.old_formats import old_recordings
 from knotgym.generate.results import reached, reference_scores, references_of
 from knotgym.rope import ENGINES
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, identity, require_free, run
@@ -97,8 +96,7 @@ def collect(
         out: Minari root to write to; None for Minari's own.
         options: how to execute the run.
         progress: where progress is shown.
-        recorded: a file of recordings, among them one of the same episodes, whose pulls are made
-            again instead.
+        recorded: a recording of the same episodes, whose pulls are made again instead.
         columns: a function of a module, `(batch, ids) -> {name: values}`, that computes columns of
             your own of each state, of the ropes `ids` of an `EpisodeBatch`: numbers, (n, ...) each.
             They are stored as `info/NAME`, and nothing can make them again.
@@ -207,13 +205,19 @@ def _play(
     return config.played(numbers, config.seed, columns).columns()
 
 
+@lru_cache(maxsize=2)
+def recording_at(path: Path) -> Episodes:
+    """Read a recording, once for the blocks of a run, as all starts are drawn."""
+    return open_episodes(path).episodes
+
+
 def _repeat(recorded: Path, config: CollectConfig, numbers: range) -> Result:
     """Play a block of a collection's episodes by the pulls of their recording.
 
     Raises:
-        InvalidFile: there is no such recording, or it has fewer episodes.
+        InvalidFile: the recording has fewer episodes.
     """
-    _, stored = old_recordings(recorded)[config.dataset_id]
+    stored = recording_at(recorded)
     if numbers.stop > (rows := stored.episodes.rows):
         name = config.dataset_id
         raise InvalidFile(f"{name} is recorded with {rows} episodes, got {config.episodes}")

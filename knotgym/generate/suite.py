@@ -5,7 +5,7 @@
     {out}/knotgym/{task}-nx{nx}/{policy}-train-code[-...]-v0        split by code
     {out}/knotgym/suite.json, README.md                             what is known of each; the card
 
-Every dataset is an ordinary collection, see `collect`, or its pulls come from the recording that
+Every dataset is an ordinary collection, see `collect`, or its pulls come from a recording that
 ships. This module makes them one after the other, and one card for all.
 """
 
@@ -24,9 +24,8 @@ from knotgym import common
 from knotgym.common import Failed, InvalidFile, InvalidInput, KnotgymError, one_line, require_output
 from knotgym.control import PolicyConfig, replay
 from knotgym.datasets import EpisodeDataset, MinariMetadata, expanded, open_episodes, suite_card
-from knotgym.generate.collection import collect, require_collectable, run_facts
+from knotgym.generate.collection import collect, recording_at, require_collectable, run_facts
 from knotgym.generate.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
-from knotgym.generate.old_formats import old_recordings
 from knotgym.generate.results import reference_scores
 from knotgym.rope import ENGINES
 from knotgym.runs import Progress, RunOptions
@@ -34,7 +33,7 @@ from knotgym.states import minari_root
 
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
-_RECORDINGS = Path(str(files("knotgym.generate") / "data" / "recordings.h5"))  # that ship
+_RECORDINGS = Path(str(files("knotgym.generate") / "data" / "recordings"))  # that ship
 _DIGESTS = Path(str(files("knotgym.generate") / "data" / "digests.json"))
 _DRAWN = 8  # episodes of a finished set that are played again
 
@@ -71,8 +70,7 @@ def make_suite(
     for number, one in enumerate(wanted, 1):
         size = f"{one.steps:,} steps" if one.steps else f"{one.episodes} episodes"
         progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {size}")
-        is_known = config.recorded and one.dataset_id in old_recordings(_RECORDINGS)
-        recorded = _RECORDINGS if is_known else None
+        recorded = _recording(one.dataset_id) if config.recorded else None
         collect(one, root, options, progress=progress, recorded=recorded)
     sets = _described(config, root)
     _write_card(sets, config.seed, folder)
@@ -133,21 +131,26 @@ def _require_known(ids: Iterable[str], root: Path, progress: Progress) -> None:
         raise Failed(f"{wrong} of these sets aren't known to be right")
 
 
+def _recording(dataset_id: str) -> Path | None:
+    """Return the recording of a set that ships; None if there is none."""
+    path = _RECORDINGS / f"{dataset_id.replace('/', '-')}.h5"
+    return path if path.is_file() else None
+
+
 def _recorded(config: SuiteConfig) -> list[CollectConfig]:
     """List the requested sets that are recorded, by the policy that acted, and the random ones of
     the same setups.
     """
-    every, known = replace(config, policies=None).sets(), old_recordings(_RECORDINGS)
-    setups = {one.task for one in every if one.dataset_id in known}
-    wanted = [
-        replace(one, policy=common.from_json(PolicyConfig, known[one.dataset_id][0]))
-        if one.dataset_id in known
-        else one
-        for one in config.sets()
-        if one.dataset_id in known or (one.policy.policy == "random" and one.task in setups)
-    ]
+    every = replace(config, policies=None).sets()
+    setups, wanted = {one.task for one in every if _recording(one.dataset_id)}, []
+    for one in config.sets():
+        if path := _recording(one.dataset_id):
+            policy = common.from_json(PolicyConfig, run_facts(path)["config"]["policy"])
+            wanted.append(replace(one, policy=policy))
+        elif one.policy.policy == "random" and one.task in setups:
+            wanted.append(one)
     if not wanted:
-        there = ", ".join(known) or "no recording"
+        there = ", ".join(sorted(one.stem for one in _RECORDINGS.iterdir())) or "no recording"
         raise InvalidFile(f"nothing of this is recorded; there is {there}")
     return wanted
 
@@ -199,8 +202,8 @@ def _describe_set(made: Path) -> dict[str, Any]:
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
     digests, agreement = dataset.digests, "no"
     known_values = DIGESTS.get(dataset.name, {}).get("values")
-    if dataset.name in (known := old_recordings(_RECORDINGS)):
-        _, recording = known[dataset.name]
+    if path := _recording(dataset.name):
+        recording = recording_at(path)
         some = recording.select(np.arange(min(rows.rows, recording.episodes.rows)))
         same = episodes.select(np.arange(some.episodes.rows)).recording().differing(some)
         first = next((row for row, *_ in same), None)
