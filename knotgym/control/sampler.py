@@ -26,7 +26,7 @@ from knotgym.envs import EpisodeBatch, TaskConfig
 
 _CODES = ("visits", "signs")  # columns that widen with the longest code
 
-# Of speed and memory alone: no result depends on these three. `python benchmarks/collect.py`
+# Of speed and memory alone: no result depends on these three. `benchmarks/pairs.py`
 # measures what they are about.
 LANES = 256  # ropes side by side, by default
 _BLOCK = 64  # starts that are drawn and laid together

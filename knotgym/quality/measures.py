@@ -313,8 +313,8 @@ def _smallest_face(pixels: Array, visits: Ids, places: Array, table: Array) -> f
 def _regions(pixels: Array, width: float) -> tuple[int, float]:
     """Count the regions beside a closed band; return the smallest area, too, square pixels.
 
-    The band is drawn as OpenCV's `polylines` draws it; of 10,000 ropes one differed,
-    by a dot. Dots that touch by a side or a corner are of one region.
+    The band is drawn as OpenCV's `polylines` draws it, dot for dot. Dots that touch by a side or a
+    corner are of one region.
 
     Args:
         pixels: float64 (beads, 2), the middle of the band.
@@ -375,7 +375,9 @@ def _band(canvas: Array, start: Ids, end: Ids, thick: int) -> None:
     while row <= stop:
         for side in range(2):
             chain = chains[side]
-            while row >= chain[1] and sides > 0:
+            while row >= chain[1]:
+                if sides == 0:  # the rows that are left are those of the sides' own lines
+                    return
                 sides -= 1
                 start, end = chain[0], (chain[0] + (3 if side else 1)) % 4
                 last = _dot(corners[end, 1])

@@ -68,37 +68,6 @@ def _close(along: Array) -> None:
 
 
 @kernel
-def _turns(drawn: Array) -> tuple[Array, Array]:
-    """Return the rotation vectors of the beads of n chains, (n, beads, 3), and their angles.
-
-    Args:
-        drawn: (n, beads + 2, 3), those of the joints, of the whole chain, and its shift.
-    """
-    n, beads = len(drawn), drawn.shape[1] - 2
-    turns, angles = np.empty((n, beads, 3)), np.empty((n, beads))
-    for chain in range(n):
-        own = turns[chain]
-        for c in range(3):
-            # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as
-            # if they commuted, which holds to first order in the small scale.
-            total = mean = 0.0
-            for i in range(beads):
-                own[i, c] = total = total + drawn[chain, i, c] if i else drawn[chain, i, c]
-            # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
-            for i in range(beads):
-                own[i, c] -= (i + 1) / beads * total
-                mean += own[i, c]
-            # the mean rotation is the whole rope's; only the one that is drawn for it is left
-            whole = drawn[chain, beads, c] - mean / beads
-            for i in range(beads):
-                own[i, c] += whole
-        for i in range(beads):
-            x, y, z = own[i]
-            angles[chain, i] = np.sqrt(x * x + y * y + z * z)
-    return turns, angles
-
-
-@kernel
 def _turned(points: Array, units: Array, lengths: Array, turned: Any, drawn: Array) -> Array:
     """Turn the chords of n chains, close them, and move them: float64 (n, beads, 3), metres.
 
@@ -108,7 +77,8 @@ def _turned(points: Array, units: Array, lengths: Array, turned: Any, drawn: Arr
         lengths: (n,) or (1,), of the new chords, metres.
         turned: rotation vectors of the beads (n, beads, 3), which are overwritten, and their
             angles (n, beads), with the cosines and sines of these.
-        drawn: (n, beads + 2, 3), see `_turns`.
+        drawn: (n, beads + 2, 3), rotation vectors of the joints and of the whole rope, and its
+            shift.
     """
     turns, angles, cosines, sines = turned
     beads, out = points.shape[1], np.empty(turns.shape)
@@ -424,7 +394,14 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     p = np.array(points, dtype=np.float64)
     chord = np.roll(p, -1, axis=1) - p
     lengths = np.sqrt(chord[..., 0] ** 2 + chord[..., 1] ** 2 + chord[..., 2] ** 2)
-    turns, angles = _turns(drawn)
+    # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as if they
+    # commuted, which holds to first order in the small scale.
+    turns = np.cumsum(drawn[:, :beads], axis=1)
+    # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
+    turns -= (np.arange(beads) + 1)[:, None] / beads * turns[:, -1:]
+    # The mean rotation is the whole rope's; take it out, so that the one drawn for it is all.
+    turns += drawn[:, beads : beads + 1] - np.cumsum(turns, axis=1)[:, -1:] / beads
+    angles = np.sqrt(turns[..., 0] ** 2 + turns[..., 1] ** 2 + turns[..., 2] ** 2)
     # NumPy's sines are not those of C's library on every processor
     turned = turns, angles, np.cos(angles), np.sin(angles)
     ordered = np.sort(lengths, axis=1)

@@ -1,0 +1,105 @@
+"""CPU seconds of this checkout beside another one's, by the difference of two runs.
+
+    python benchmarks/pairs.py OTHER [--rounds 2] [pictures photos stream states near collect]
+
+OTHER is a checkout of another commit with the package installed in its `.venv`, as here. Each row
+of WORK is run for a small and for a large number of items in both, by turns, with one process and
+one thread; what an item costs is the difference, so that imports, reading and cards don't count.
+Run everything once before, so that nothing is compiled. Prints milliseconds an item, here and
+there, and how many times as many items a CPU second this checkout makes: the median of the rounds.
+"""
+
+import argparse
+import os
+import resource
+import subprocess
+import tempfile
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+KNOTGYM = "-m knotgym"
+_STREAM = """
+import itertools
+from knotgym.generate import ImagesConfig
+from knotgym.loaders import stream
+rows = stream(ImagesConfig(nx=(0, 1, 2, 3, 4), engine="chain"), seed=0)
+for row in itertools.islice(rows, {n}): pass
+"""
+_NEAR = """
+from knotgym.states import read_states, resolve_states
+from knotgym.states.near_duplicates import pairs_within
+points = read_states(resolve_states(None), images=False).points
+for _ in range({n}): pairs_within(points)
+"""
+
+
+class Work(NamedTuple):
+    """What is timed: words of Python's, with {n} items and a folder {out}; small and large n."""
+
+    words: str | list[str]
+    small: int
+    large: int
+
+
+_IMAGES = f"{KNOTGYM} images --engine chain --nx 0-4 --count {{n}} --out {{out}} --workers 1"
+WORK = {
+    "pictures": Work(f"{_IMAGES} --appearance published", 200, 800),
+    "photos": Work(f"{_IMAGES} --appearance photo", 50, 200),
+    "stream": Work(["-c", _STREAM], 200, 800),
+    "states": Work(
+        f"{KNOTGYM} generate --nx 0-4 --count {{n}} --out {{out}} --workers 1 --demonstrations none",
+        100,
+        400,
+    ),
+    "near": Work(["-c", _NEAR], 2, 20),
+    "collect": Work(
+        f"{KNOTGYM} collect --task tie --nx 2 --policy random --episodes {{n}} --engine chain"
+        " --form columns --out {out} --workers 1",
+        256,
+        1024,
+    ),
+}
+
+
+def seconds(checkout: Path, words: str | list[str], n: int) -> float:
+    """Return the CPU seconds of a run in a checkout."""
+    one = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as folder:
+        given = words.split() if isinstance(words, str) else words
+        filled = [word.format(n=n, out=Path(folder, "out")) for word in given]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [str(checkout / ".venv" / "bin" / "python"), *filled],
+            cwd=checkout,
+            env=os.environ | one,
+            check=True,
+            capture_output=True,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("other", type=Path, help="checkout to compare with")
+    parser.add_argument("work", nargs="*", default=[*WORK], help="rows of WORK")
+    parser.add_argument("--rounds", type=int, default=2)
+    given = parser.parse_args()
+    for name in given.work:
+        words, small, large = WORK[name]
+        costs = [
+            [
+                1000 * (seconds(one, words, large) - seconds(one, words, small)) / (large - small)
+                for one in (ROOT, given.other.resolve())
+            ]
+            for _ in range(given.rounds)
+        ]
+        here, there = (median(column) for column in zip(*costs, strict=True))
+        ratio = median(theirs / own for own, theirs in costs)
+        print(f"{name:9} {here:8.2f} {there:8.2f} ms an item, {ratio:5.2f} times", flush=True)
+
+
+if __name__ == "__main__":
+    main()
