@@ -208,7 +208,9 @@ def by_opencv(points: NDArray[np.float64], config: PictureConfig) -> float:
 @pytest.mark.parametrize("view", [0.66, 1.32, 2.0])  # bands of 6, 3 and 2 dots
 def test_regions_are_those_that_opencv_draws_and_counts(view: float) -> None:
     config = PictureConfig(view=view)
-    for points in SHIPPED.points[::9]:
+    # the last row of one of this pentagon's sides is no dot of OpenCV's
+    pentagon = np.random.default_rng(13192).uniform(-0.05, 0.05, (5, 3))
+    for points in [*SHIPPED.points[::9], pentagon]:
         assert measures.measure(points, config=config).smallest_region == by_opencv(points, config)
 
 
