@@ -49,7 +49,7 @@ WORK = {
     "photos": Work(f"{_IMAGES} --appearance photo", 50, 200),
     "stream": Work(["-c", _STREAM], 200, 800),
     "states": Work(
-        f"{KNOTGYM} generate --nx 0-4 --count {{n}} --out {{out}} --workers 1 --demonstrations none",
+        f"{KNOTGYM} generate --nx 0-4 --count {{n}} --out {{out}} --workers 1 --no-demonstrations",
         100,
         400,
     ),

@@ -17,7 +17,7 @@ import numpy as np
 from knotgym.common.errors import InvalidInput
 
 _COUNTERS = 3  # per key; missing counters are 0
-_WORD, _MOST = 2**32, 2**63 - 1  # _MOST: seeds are stored in int64 columns
+_MOST = 2**63 - 1  # seeds are stored in int64 columns
 
 
 @unique
@@ -93,4 +93,4 @@ class Stream(IntEnum):
 
 def _sequence(key: tuple[int, ...]) -> np.random.SeedSequence:
     """Seed NumPy with two 32-bit words per number, so that keys stay distinct."""
-    return np.random.SeedSequence([word for n in key for word in (n % _WORD, n // _WORD)])
+    return np.random.SeedSequence(np.array(key, "<u8").view("<u4"))

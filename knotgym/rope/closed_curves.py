@@ -7,8 +7,9 @@ After a change run `pytest tests/rope/test_rope.py`: no reset may lose its code.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,32 +69,47 @@ def _close(along: Array) -> None:
 
 
 @kernel
-def _turned(points: Array, units: Array, lengths: Array, turned: Any, drawn: Array) -> Array:
+def _turned(points: Array, units: Array, lengths: Array, drawn: Array) -> Array:
     """Turn the chords of n chains, close them, and move them: float64 (n, beads, 3), metres.
 
     Args:
         points: float64 (n, beads, 3) or (1, beads, 3), metres.
         units: likewise, directions of the chords.
         lengths: (n,) or (1,), of the new chords, metres.
-        turned: rotation vectors of the beads (n, beads, 3), which are overwritten, and their
-            angles (n, beads), with the cosines and sines of these.
         drawn: (n, beads + 2, 3), rotation vectors of the joints and of the whole rope, and its
             shift.
     """
-    turns, angles, cosines, sines = turned
-    beads, out = points.shape[1], np.empty(turns.shape)
-    for chain in range(len(turns)):
+    n, beads = len(drawn), points.shape[1]
+    out, own = np.empty((n, beads, 3)), np.empty((beads, 3))
+    for chain in range(n):
         row = chain % len(units)
-        own, given, moved = turns[chain], units[row], out[chain]
+        given, moved = units[row], out[chain]
+        for c in range(3):
+            # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as
+            # if they commuted, which holds to first order in the small scale.
+            total = mean = 0.0
+            for i in range(beads):
+                total += drawn[chain, i, c]
+                own[i, c] = total
+            # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
+            for i in range(beads):
+                own[i, c] -= (i + 1) / beads * total
+                mean += own[i, c]
+            # the mean rotation is the whole rope's: take it out, and only the one drawn is left
+            whole = drawn[chain, beads, c] - mean / beads
+            for i in range(beads):
+                own[i, c] += whole
         for i in range(beads):  # Rodrigues' formula
-            size = max(angles[chain, i], 1e-100)
-            x, y, z = own[i, 0] / size, own[i, 1] / size, own[i, 2] / size
+            x, y, z = own[i, 0], own[i, 1], own[i, 2]
+            angle = np.sqrt(x * x + y * y + z * z)
+            cosine, sine, size = math.cos(angle), math.sin(angle), max(angle, 1e-100)
+            x, y, z = x / size, y / size, z / size
             u, v, w = given[i, 0], given[i, 1], given[i, 2]
-            share, cosine, sine = x * u + y * v + z * w, cosines[chain, i], sines[chain, i]
-            a, b, c = x * share, y * share, z * share
-            own[i, 0] = a + (u - a) * cosine + (y * w - z * v) * sine
-            own[i, 1] = b + (v - b) * cosine + (z * u - x * w) * sine
-            own[i, 2] = c + (w - c) * cosine + (x * v - y * u) * sine
+            share = x * u + y * v + z * w
+            e, f, g = x * share, y * share, z * share
+            own[i, 0] = e + (u - e) * cosine + (y * w - z * v) * sine
+            own[i, 1] = f + (v - f) * cosine + (z * u - x * w) * sine
+            own[i, 2] = g + (w - g) * cosine + (x * v - y * u) * sine
         _close(own)
         for c in range(3):
             middle = mean = before = 0.0
@@ -394,17 +410,7 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     p = np.array(points, dtype=np.float64)
     chord = np.roll(p, -1, axis=1) - p
     lengths = np.sqrt(chord[..., 0] ** 2 + chord[..., 1] ** 2 + chord[..., 2] ** 2)
-    # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as if they
-    # commuted, which holds to first order in the small scale.
-    turns = np.cumsum(drawn[:, :beads], axis=1)
-    # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
-    turns -= (np.arange(beads) + 1)[:, None] / beads * turns[:, -1:]
-    # The mean rotation is the whole rope's; take it out, so that the one drawn for it is all.
-    turns += drawn[:, beads : beads + 1] - np.cumsum(turns, axis=1)[:, -1:] / beads
-    angles = np.sqrt(turns[..., 0] ** 2 + turns[..., 1] ** 2 + turns[..., 2] ** 2)
-    # NumPy's sines are not those of C's library on every processor
-    turned = turns, angles, np.cos(angles), np.sin(angles)
     ordered = np.sort(lengths, axis=1)
     medians = (ordered[:, (beads - 1) // 2] + ordered[:, beads // 2]) / 2
-    moved: Array = _turned(p, chord / lengths[..., None], medians, turned, drawn)
+    moved: Array = _turned(p, chord / lengths[..., None], medians, drawn)
     return moved
