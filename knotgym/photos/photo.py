@@ -62,7 +62,7 @@ class PhotoDrawer(Drawer):
             if shot := _drawn(rope, rng, camera, marked and attempt < _TRIES // 2, config):
                 return shot
         # `legible` has shown that this one can be read
-        return _taken(rope, _clearest(rope, camera))
+        return _taken(rope, replace(_clearest(rope, camera), look=config.look))
 
     def for_episode(self, points: Array, size: int, goal: int) -> Photo:
         # The camera is vertical and tape marks the base, so that picture and code agree. The scale

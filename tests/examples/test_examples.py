@@ -16,12 +16,10 @@ from synthetic_pictures import picture_rows
 from knotgym.datasets import drawn_table, parquet, read_rows
 from knotgym.generate import ImagesConfig, make_images
 from knotgym.rendering import AppearanceConfig
-from knotgym.rope import Rope
 from knotgym.runs import RunOptions
 from knotgym.states import read_states, shipped
 from knotgym.topology import parse_codes
 
-from ..conftest import curled
 from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
@@ -55,9 +53,7 @@ def test_a_task_of_an_array_is_one_shard_of_a_fixed_number(
     assert said in run.stdout + run.stderr and run.returncode == 2 * ("run.shard" not in said)
 
 
-@pytest.mark.parametrize(
-    "script", ["to_lerobot", "perception/read", "perception/photos", "learners/offline_torch"]
-)
+@pytest.mark.parametrize("script", ["to_lerobot", "perception/photos", "learners/offline_torch"])
 def test_without_its_library_an_example_ends_in_one_line(script: str, monkeypatch: Patch) -> None:
     for missing in ("torch", "lerobot"):
         monkeypatch.setitem(sys.modules, missing, None)
@@ -89,18 +85,6 @@ def test_the_notebook_makes_a_clone_that_beats_random(tmp_path: Path, monkeypatc
     assert (tmp_path / "clone.gif").is_file()
 
 
-def test_codes_are_read_by_tracing_colours(rope: Rope, tmp_path: Path, capsys: Capture) -> None:
-    rows = picture_rows([rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)], "test")
-    (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, AppearanceConfig())))
-    page = tmp_path / "misread.png"
-    run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
-    told = capsys.readouterr().out.splitlines()
-    [total] = [line for line in told if line.startswith("all")]
-    assert total.split() == ["all", "4", "100.0", "%", "100.0", "%", "0.00"]
-    assert not page.exists()
-    assert told[-1].startswith("no accepted picture was misread")
-
-
 def test_line_drawings_are_transcribed_to_pd_codes(tmp_path: Path, capsys: Capture) -> None:
     states = read_states(shipped(), images=False)
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
@@ -126,22 +110,11 @@ def test_photos_are_read_and_a_reader_is_trained_on_them(tmp_path: Path, capsys:
     config = ImagesConfig(nx=(1, 2), count=8, test_nx=None, engine="chain", appearance=look)
     folder = make_images(config, tmp_path / "photos", RunOptions(workers=1, quiet=True))
     script = FOLDER / "perception" / "photos.py"
-    run_script(script, "train", folder, "--minutes", 0.05, "--batch", 2, "--out", tmp_path / "own")
+    for minutes in (0.03, 0.06):  # goes on from what it left
+        own = "--minutes", minutes, "--batch", 2, "--states", "readable", "--out", tmp_path / "own"
+        run_script(script, "train", *own)
     run_script(script, "read", folder, "--count", 2, "--views", 1, "--weights", tmp_path / "own")
     capsys.readouterr()
     run_script(script, "read", folder, "--page", tmp_path / "misread.png")
     [total] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("all")]
     assert total.split()[1] == "8" and float(total.split()[2]) > 70
-
-
-@pytest.mark.clients
-def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
-    config = ImagesConfig(nx=(0, 1), count=20, test_nx=None, test_share=0.3, pulls=4)
-    folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))
-    out = tmp_path / "reader"
-    script = FOLDER / "perception" / "read.py"
-    run_script(script, folder, "--steps", 2, "--batch", 4, "--out", out)
-    report = json.loads((out / "report.json").read_text())
-    assert report["steps"] == 2 and report["scores"]["test"]["all"]["pictures"] > 0
-    assert (out / "confusions.png").is_file()
