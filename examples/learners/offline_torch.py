@@ -1,228 +1,320 @@
-"""Train one of eight offline learners in torch, on decisions.
+"""Train offline learners in torch, all with one actor and one budget: they differ in their loss.
 
     python examples/learners/offline_torch.py IQL knotgym/tie-nx2/varied-bench-v0 --out iql.pt
 
-Writes iql.pt and iql.py, a policy: `knotgym evaluate --policy iql:act`, in the same folder. All
-have the same networks, optimizer and batches, so what they differ in is their loss:
+Writes iql.pt, a state_dict, and iql.py, a policy: `knotgym evaluate --policy iql:act`, in the same
+folder. With `--action macro` it learns of macro-actions, such as those of the tiers `wander`.
 
-    DiscreteBC  classifies the bead and regresses the forces
-    BC, GCBC    regress the decision; for the episode's goal, for a state that its episode reached
-    Flow        learns a velocity field from noise to decisions (flow matching, arXiv 2210.02747)
-    IQL         arXiv 2110.06169, with advantage-weighted regression
-    TD3BC       arXiv 2106.06860, with an update of the actor for each of the critics
-    GCIVL       IQL's value of states and goals, without critics (OGBench, arXiv 2410.20092)
-    CRL         a classifier of goals reached from goals at random (arXiv 2206.07568), and TD3BC's
-                actor on its logits
+    BC       clones what was done; the goal is the episode's own
+    GCBC     the same for a state that the episode reached later, NextBC for the next code it showed
+    Flow     GCBC by a velocity field from noise to actions (flow matching, arXiv 2210.02747)
+    GCIVL    GCBC, weighted by a value of states and goals (OGBench, arXiv 2410.20092)
+    IQL      the same, with critics (arXiv 2110.06169)
+    TD3BC    GCBC beside the critics' value of what the actor does (arXiv 2106.06860)
+    CRL      the same, with a classifier of goals reached as critic (arXiv 2206.07568)
 """
 
 import copy
+import inspect
 import shlex
-import sys
 import time
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-try:
-    import torch
-except ModuleNotFoundError as error:
-    raise SystemExit("offline_torch.py needs torch: pip install '.[torch]'") from error
+import numpy as np
+import torch
 from torch import Tensor, nn
-from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
+from torch.nn.functional import binary_cross_entropy_with_logits as logistic
+from torch.nn.functional import one_hot
 
 from knotgym.common import sha256
 from knotgym.datasets import columns_of
-from knotgym.loaders import GoalSampling, Window, arrays
+from knotgym.loaders import GoalSampling, Transitions, Window, arrays
 
-MODULE = """import torch
+MODULE = """import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import one_hot
 from knotgym.loaders import as_policy
 
 FILES = [__file__[:-3] + ".pt"]
 CARD = {card}  # what an entry claims of the training
 torch.set_num_threads(1)
-network = torch.jit.load(FILES[0]).eval()
+
+
+{classes}
+
+network = {made}
+network.load_state_dict(torch.load(FILES[0], weights_only=True))
+network.eval()
 
 
 @torch.inference_mode()
 def predict(observations):
-    found = network(torch.from_numpy(observations))
-    # of each bead there is a score, too, which has no bounds
-    return (found.clamp(-1, 1) if found.ndim == 2 else found).numpy()
+    return network.act(torch.from_numpy(observations)).numpy()
 
 
-act = as_policy(predict)
+act = as_policy(predict, action="{action}")
 """
-DECISION, BEADS = 43, 100
-EXPECTILE, POLYAK, GREED, WEIGHT, LARGEST = 0.9, 0.01, 2.5, 3.0, 100.0
-# goals of each set: the episode's own, states that it reached later, any, and a mixture for values
-GOALS = {
-    "own": None,
-    "reached": GoalSampling(p_currgoal=0, p_trajgoal=1, p_randomgoal=0, geom_sample=False),
-    "random": GoalSampling(p_currgoal=0, p_trajgoal=0, p_randomgoal=1),
-    "mixed": GoalSampling(),
-}
+INPUTS, BATCH, RATE, DECAY = 609, 128, 1e-3, 0.02
+DISCOUNT, EXPECTILE, POLYAK, GREED, WEIGHT, LARGEST = 0.98, 0.9, 0.01, 2.5, 1.0, 100.0
+SCRIPT = "examples/learners/offline_torch.py"
 Batch = dict[str, Tensor]
 
 
 class Network(nn.Module):
-    """Three layers over inputs that are standardized by the rows `like` (n, inputs)."""
+    """Three layers over inputs that are standardized."""
 
-    def __init__(self, like: Tensor, outputs: int, dropout: float = 0.0) -> None:
+    def __init__(self, inputs: int, outputs: int, width: int, dropout: float = 0.0) -> None:
         super().__init__()
-        self.register_buffer("mean", like.mean(0))
-        self.register_buffer("std", like.std(0).clamp(min=1e-3))
-        sizes = like.shape[1], 512, 512
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("std", torch.ones(inputs))
         layers = [
-            nn.Sequential(nn.Linear(size, 512), nn.LayerNorm(512), nn.ReLU(), nn.Dropout(dropout))
-            for size in sizes[:2]
+            nn.Sequential(nn.Linear(n, width), nn.LayerNorm(width), nn.ReLU(), nn.Dropout(dropout))
+            for n in (inputs, width)
         ]
-        self.body = nn.Sequential(*layers, nn.Linear(512, outputs))
+        self.body = nn.Sequential(*layers, nn.Linear(width, outputs))
+
+    def like(self, rows: Tensor) -> None:
+        """Standardize as rows (n, inputs) need it."""
+        self.mean, self.std = rows.mean(0), rows.std(0).clamp(min=1e-3)
 
     def forward(self, inputs: Tensor) -> Tensor:
         return self.body((inputs - self.mean) / self.std)
 
 
+class Actor(nn.Module):
+    """A score of each bead, and the rest of an action given the bead."""
+
+    REST, VECTOR = 0, 0  # outputs of the rest; numbers of an action as critics and fields see it
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.body, self.scores = Network(609, width, width, 0.1), nn.Linear(width, 100)
+        self.which, self.rest = nn.Linear(100, width), nn.Linear(width, self.REST)
+        apart = (torch.arange(100)[:, None] - torch.arange(100) + 50) % 100 - 50
+        # a bead that is near is nearly as good
+        self.near = nn.Buffer((-((apart / 3) ** 2)).softmax(1), persistent=False)
+
+    def forward(self, seen: Tensor, beads: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return the scores (n, 100), and the rest for beads (n,), or for their mean."""
+        hidden = self.body(seen).relu()
+        scores = self.scores(hidden)
+        chosen = scores.softmax(1) if beads is None else one_hot(beads, 100).float()
+        return scores, self.rest((hidden + self.which(chosen)).relu())
+
+    def act(self, seen: Tensor) -> Tensor:
+        beads = self(seen)[0].argmax(1)
+        return self.acted(beads, self(seen, beads)[1], seen)
+
+    def errors(self, batch: dict[str, Tensor]) -> Tensor:
+        """How far the actor is from what was done: (n,)."""
+        scores, rest = self(batch["observations"], batch["beads"])
+        missed = -(self.near[batch["beads"]] * scores.log_softmax(1)).sum(1)
+        return missed + self.off(rest, batch["actions"])
+
+
+class Decisions(Actor):
+    """Decisions: where the bead lies, and 40 numbers."""
+
+    REST, VECTOR = 40, 43
+
+    @staticmethod
+    def vector(actions: Tensor) -> Tensor:
+        return actions
+
+    @staticmethod
+    def chosen(vector: Tensor) -> Tensor:
+        return vector.clamp(-1, 1)
+
+    def off(self, rest: Tensor, actions: Tensor) -> Tensor:
+        return 4 * (rest - actions[:, 3:]).square().mean(1)
+
+    def soft(self, seen: Tensor) -> Tensor:
+        """The mean action, (n, VECTOR), through which a gradient passes."""
+        scores, rest = self(seen)
+        places = (scores.softmax(1)[:, None] @ seen[:, :300].unflatten(1, (100, 3)))[:, 0]
+        return torch.cat([places * 3, rest], 1).clamp(-1, 1)  # 1 is a third of a metre
+
+    def acted(self, beads: Tensor, rest: Tensor, seen: Tensor) -> Tensor:
+        places = seen[:, :300].unflatten(1, (100, 3))[torch.arange(len(seen)), beads]
+        return torch.cat([places * 3, rest], 1).clamp(-1, 1)
+
+
+class Macros(Actor):
+    """Macro-actions: bead, target and side; as a vector, both beads as points of a circle."""
+
+    REST, VECTOR = 200, 5
+
+    @staticmethod
+    def circle(beads: Tensor) -> Tensor:
+        angles = beads * (2 * np.pi / 100)
+        return torch.stack([angles.cos(), angles.sin()], -1)
+
+    @classmethod
+    def vector(cls, actions: Tensor) -> Tensor:
+        ends = [cls.circle(actions[:, k]) for k in (0, 1)]
+        return torch.cat([*ends, 2.0 * actions[:, 2:] - 1], 1)
+
+    @staticmethod
+    def chosen(vector: Tensor) -> Tensor:
+        turns = torch.atan2(vector[:, [1, 3]], vector[:, [0, 2]]) * (100 / (2 * np.pi))
+        return torch.cat([turns.round().long() % 100, (vector[:, 4:] > 0).long()], 1)
+
+    def off(self, rest: Tensor, actions: Tensor) -> Tensor:
+        found = rest.log_softmax(1).unflatten(1, (2, 100))
+        own = found[torch.arange(len(rest)), actions[:, 2]]
+        return -(self.near[actions[:, 1]] * own).sum(1)
+
+    def soft(self, seen: Tensor) -> Tensor:
+        """The mean action, (n, VECTOR), through which a gradient passes."""
+        scores, rest = self(seen)
+        ends, every = rest.softmax(1).unflatten(1, (2, 100)), self.circle(torch.arange(100))
+        sides = ends.sum(2) @ torch.tensor([[-1.0], [1.0]])
+        return torch.cat([scores.softmax(1) @ every, ends.sum(1) @ every, sides], 1)
+
+    def acted(self, beads: Tensor, rest: Tensor, seen: Tensor) -> Tensor:
+        best = rest.argmax(1)
+        return torch.stack([beads, best % 100, best // 100], 1)
+
+
+class Field(nn.Module):
+    """Actions of a velocity field, begun in the middle of the noise."""
+
+    def __init__(self, kind: type[Actor], width: int) -> None:
+        super().__init__()
+        self.kind, size = kind, kind.VECTOR
+        self.body = Network(609 + size + 1, size, width, 0.1)
+
+    def act(self, seen: Tensor) -> Tensor:
+        vector = torch.zeros(len(seen), self.kind.VECTOR)
+        for step in range(10):
+            times = torch.full((len(seen), 1), step / 10)
+            vector = vector + self.body(torch.cat([seen, vector, times], 1)) / 10
+        return self.kind.chosen(vector)
+
+
+KINDS = {"decision": Decisions, "macro": Macros}
+
+
 class BC:
-    """A learner: its networks, and the loss of a batch."""
+    """A learner: its networks, and the loss of a batch of each of its `sets`."""
 
     sets: tuple[str, ...] = ("own",)
-    outputs = DECISION
 
-    def __init__(self, data: Batch) -> None:
-        self.actor = self.policy = Network(data["observations"], self.outputs, 0.1)
+    def __init__(self, kind: type[Actor], width: int, seen: Tensor) -> None:
+        self.policy: nn.Module
+        self.actor = self.policy = kind(width)
+        self.actor.body.like(seen)
+        self.seen, self.width, self.vector = seen, width, kind.VECTOR
         self.networks: list[nn.Module] = [self.actor]
         self.targets: list[tuple[nn.Module, nn.Module]] = []
 
+    def network(self, more: int, outputs: int) -> Network:
+        """A network of observations and `more` inputs, which is trained."""
+        made = Network(INPUTS + more, outputs, self.width)
+        made.like(torch.cat([self.seen, torch.randn(len(self.seen), more)], 1))
+        self.networks.append(made)
+        return made
+
     def target(self, network: nn.Module) -> nn.Module:
         """A copy that follows a network slowly, and passes no gradient to it."""
-        self.networks.append(network)
         self.targets.append((network, copy.deepcopy(network).requires_grad_(False)))
         return self.targets[-1][1]
 
     def loss(self, *batches: Batch) -> Tensor:
-        return self.errors(batches[0]).mean()
-
-    def errors(self, batch: Batch) -> Tensor:
-        return (self.actor(batch["observations"]) - batch["actions"]).square().mean(1)
-
-    def greedy(self, critics: nn.Module, batch: Batch) -> Tensor:
-        """TD3+BC's loss of the actor: the critics' least value, beside the error of a clone."""
-        chosen = self.actor(batch["observations"]).clamp(-1, 1)
-        worth = critics(torch.cat([batch["observations"], chosen], 1)).amin(1)
-        return self.errors(batch).mean() - GREED * (worth / worth.abs().mean().detach()).mean()
+        return self.actor.errors(batches[0]).mean()
 
 
 class GCBC(BC):
     sets = ("reached",)
 
 
-class OfEachBead(nn.Module):
-    """A score of each bead, and the last numbers of a decision, the same for all."""
-
-    def __init__(self, actor: Network) -> None:
-        super().__init__()
-        self.actor = actor
-
-    def forward(self, seen: Tensor) -> Tensor:
-        scores, pulls = self.actor(seen).split([100, 40], 1)
-        return torch.cat([scores[:, :, None], pulls[:, None].expand(-1, 100, -1)], 2)
+class NextBC(BC):
+    sets = ("next",)
 
 
-class DiscreteBC(BC):
-    outputs = BEADS + DECISION - 3
-
-    def __init__(self, data: Batch) -> None:
-        super().__init__(data)
-        self.policy = OfEachBead(self.actor)
+class Flow(GCBC):
+    def __init__(self, kind: type[Actor], width: int, seen: Tensor) -> None:
+        super().__init__(kind, width, seen)
+        self.policy = self.field = Field(kind, width)
+        noise = torch.randn(len(seen), kind.VECTOR), torch.rand(len(seen), 1)
+        self.field.body.like(torch.cat([seen, *noise], 1))
+        self.networks = [self.field]
 
     def loss(self, *batches: Batch) -> Tensor:
         (batch,) = batches
-        logits, pulls = self.actor(batch["observations"]).split([BEADS, DECISION - 3], 1)
-        right = cross_entropy(logits, batch["beads"], label_smoothing=0.05)
-        return right + 4 * (pulls - batch["actions"][:, 3:]).square().mean()
-
-
-class Sampler(nn.Module):
-    """Decisions from a velocity field, begun in the middle of the noise."""
-
-    def __init__(self, field: Network) -> None:
-        super().__init__()
-        self.field = field
-
-    def forward(self, seen: Tensor) -> Tensor:
-        decisions = torch.zeros(len(seen), 43)
-        for step in range(10):
-            times = torch.full((len(seen), 1), step / 10)
-            decisions = decisions + self.field(torch.cat([seen, decisions, times], 1)) / 10
-        return decisions
-
-
-class Flow(BC):
-    def __init__(self, data: Batch) -> None:
-        seen, noise = data["observations"], torch.randn(len(data["actions"]), DECISION)
-        self.field = Network(torch.cat([seen, noise, torch.rand(len(seen), 1)], 1), DECISION, 0.1)
-        self.policy, self.networks, self.targets = Sampler(self.field), [self.field], []
-
-    def loss(self, *batches: Batch) -> Tensor:
-        (batch,) = batches
-        actions = batch["actions"]
-        noise, times = torch.randn_like(actions), torch.rand(len(actions), 1)
-        between = (1 - times) * noise + times * actions
-        velocity = self.field(torch.cat([batch["observations"], between, times], 1))
-        return (velocity - (actions - noise)).square().mean()
+        made = batch["vectors"]
+        noise, times = torch.randn_like(made), torch.rand(len(made), 1)
+        between = (1 - times) * noise + times * made
+        velocity = self.field.body(torch.cat([batch["observations"], between, times], 1))
+        return (velocity - (made - noise)).square().mean()
 
 
 class GCIVL(BC):
     sets = ("mixed", "reached")
 
-    def __init__(self, data: Batch) -> None:
-        super().__init__(data)
-        self.value = Network(data["observations"], 1)
+    def __init__(self, kind: type[Actor], width: int, seen: Tensor) -> None:
+        super().__init__(kind, width, seen)
+        self.value = self.network(0, 1)
         self.slow = self.target(self.value)
 
     def loss(self, *batches: Batch) -> Tensor:
         batch, later = batches
         gain = self.ahead(batch) - self.value(batch["observations"])[:, 0]
         worth = self.ahead(later) - self.slow(later["observations"])[:, 0]
-        return expectile(gain) + (weights(worth) * self.errors(later)).mean()
+        return expectile(gain) + weighted(worth, self.actor.errors(later))
 
     def ahead(self, batch: Batch) -> Tensor:
         return batch["rewards"] + batch["discounts"] * self.slow(batch["next_observations"])[:, 0]
 
 
 class TD3BC(BC):
-    def __init__(self, data: Batch) -> None:
-        super().__init__(data)
-        self.critics = Network(torch.cat([data["observations"], data["actions"]], 1), 2)
+    sets = ("mixed", "reached")
+
+    def __init__(self, kind: type[Actor], width: int, seen: Tensor) -> None:
+        super().__init__(kind, width, seen)
+        self.critics = self.network(self.vector, 2)
         self.slow, self.slow_actor = self.target(self.critics), self.target(self.actor)
 
     def loss(self, *batches: Batch) -> Tensor:
-        (batch,) = batches
-        after, actions = batch["next_observations"], batch["actions"]
+        batch, later = batches
+        after = batch["next_observations"]
         with torch.no_grad():
-            noise = (0.2 * torch.randn_like(actions)).clamp(-0.5, 0.5)
-            following = (self.slow_actor(after) + noise).clamp(-1, 1)
-            ahead = self.slow(torch.cat([after, following], 1)).amin(1)
-        return self.temporal(batch, ahead) + self.greedy(self.slow, batch)
+            ahead = self.slow(torch.cat([after, self.slow_actor.soft(after)], 1)).amin(1)
+        return self.temporal(batch, ahead) + self.greedy(later)
 
     def temporal(self, batch: Batch, ahead: Tensor) -> Tensor:
         """The critics' squared error, given the value of what follows (n,)."""
-        found = self.critics(torch.cat([batch["observations"], batch["actions"]], 1))
+        found = self.critics(torch.cat([batch["observations"], batch["vectors"]], 1))
         wanted = batch["rewards"] + batch["discounts"] * ahead
         return (found - wanted[:, None]).square().mean()
 
+    def greedy(self, batch: Batch) -> Tensor:
+        """The actor's loss: the critics' least value, beside the error of a clone."""
+        seen = batch["observations"]
+        worth = self.slow(torch.cat([seen, self.actor.soft(seen)], 1)).amin(1)
+        cloned = self.actor.errors(batch).mean()
+        return cloned - GREED * (worth / worth.abs().mean().detach()).mean()
+
 
 class IQL(TD3BC):
-    def __init__(self, data: Batch) -> None:
-        super().__init__(data)
-        self.value = Network(data["observations"], 1)
-        self.networks.append(self.value)
+    def __init__(self, kind: type[Actor], width: int, seen: Tensor) -> None:
+        super().__init__(kind, width, seen)
+        self.value = self.network(0, 1)
 
     def loss(self, *batches: Batch) -> Tensor:
-        (batch,) = batches
-        seen, after = batch["observations"], batch["next_observations"]
-        gain = self.slow(torch.cat([seen, batch["actions"]], 1)).amin(1) - self.value(seen)[:, 0]
-        error = self.temporal(batch, self.value(after)[:, 0].detach())
-        return expectile(gain) + error + (weights(gain) * self.errors(batch)).mean()
+        found = [
+            self.slow(torch.cat([one["observations"], one["vectors"]], 1)).amin(1)
+            - self.value(one["observations"])[:, 0]
+            for one in batches
+        ]
+        ahead = self.value(batches[0]["next_observations"])[:, 0].detach()
+        error = self.temporal(batches[0], ahead)
+        return expectile(found[0]) + error + weighted(found[1], self.actor.errors(batches[1]))
 
 
 class CRL(TD3BC):
@@ -230,50 +322,82 @@ class CRL(TD3BC):
 
     def loss(self, *batches: Batch) -> Tensor:
         logits = [
-            self.critics(torch.cat([one["observations"], one["actions"]], 1)) for one in batches
+            self.critics(torch.cat([one["observations"], one["vectors"]], 1)) for one in batches
         ]
         right = [torch.ones_like(logits[0]), torch.zeros_like(logits[1])]
-        told = binary_cross_entropy_with_logits(torch.cat(logits), torch.cat(right))
-        return told + self.greedy(self.slow, batches[0])
+        return logistic(torch.cat(logits), torch.cat(right)) + self.greedy(batches[0])
 
 
-LEARNERS = {one.__name__: one for one in (DiscreteBC, BC, GCBC, Flow, IQL, TD3BC, GCIVL, CRL)}
+LEARNERS: dict[str, type[BC]] = {
+    one.__name__: one for one in (BC, GCBC, NextBC, Flow, GCIVL, IQL, TD3BC, CRL)
+}
 
 
 def expectile(gain: Tensor) -> Tensor:
-    """The loss by which a value becomes an expectile of what it is compared with."""
     return (torch.where(gain > 0, EXPECTILE, 1 - EXPECTILE) * gain.square()).mean()
 
 
-def weights(gain: Tensor) -> Tensor:
-    return (WEIGHT * gain.detach()).exp().clamp(max=LARGEST)
+def weighted(gain: Tensor, errors: Tensor) -> Tensor:
+    """The mean of errors, weighted by advantages."""
+    weights = (WEIGHT * gain.detach()).exp().clamp(max=LARGEST)
+    return (weights / weights.mean() * errors).mean()
 
 
-def load(datasets: list[str], goals: GoalSampling | None) -> Batch:
-    found = arrays(
-        datasets,
-        observation="marked",
-        action="decision",
-        frame="canonical",
-        window=Window(discount=0.99, goals=goals),
-    )
-    data = {name: torch.from_numpy(column) for name, column in found.items()}
-    data["rewards"] = data["rewards"].float() / (5 if goals is None else 1)
-    data["discounts"] = data["discounts"].float()
-    return data
+def drawn(**chances: float) -> Callable[..., Any]:
+    """Load goals that are drawn among the states of a set."""
+
+    def opened(datasets: Sequence[str], action: str) -> Any:
+        goals = GoalSampling(**chances, geom_sample=chances["p_currgoal"] > 0)
+        return own(datasets, action, goals)
+
+    return opened
 
 
-def train(name: str, datasets: list[str], steps: int, seed: int, out: Path) -> None:
-    """Train a learner; write its policy."""
-    torch.manual_seed(seed)
-    began, kind = time.process_time(), LEARNERS[name]
-    data = [load(datasets, GOALS[one]) for one in kind.sets]
-    learner = kind(data[0])
+def shown(datasets: Sequence[str], action: str) -> Any:
+    """Load the actions in which a code was first shown, with that code as the goal."""
+    parts = []
+    for one in datasets:
+        moves = Transitions(
+            one, observation="marked", action=action, frame="canonical", relabel="all"
+        )
+        parts.append(moves.batch(np.flatnonzero(moves.terminals)))
+    return {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+
+
+def own(datasets: Sequence[str], action: str, goals: GoalSampling | None = None) -> Any:
+    """Load all actions, with the episodes' own goals if no others are drawn."""
+    window = Window(discount=DISCOUNT, goals=goals)
+    return arrays(datasets, observation="marked", action=action, frame="canonical", window=window)
+
+
+SETS: dict[str, Callable[[Sequence[str], str], Any]] = {
+    "own": own,
+    "next": shown,
+    "reached": drawn(p_currgoal=0, p_trajgoal=1, p_randomgoal=0),
+    "random": drawn(p_currgoal=0, p_trajgoal=0, p_randomgoal=1),
+    "mixed": drawn(p_currgoal=0.2, p_trajgoal=0.5, p_randomgoal=0.3),
+}
+
+
+def load(datasets: Sequence[str], action: str, name: str) -> Batch:
+    """Load one of the SETS as tensors."""
+    found = {k: torch.from_numpy(v) for k, v in SETS[name](datasets, action).items()}
+    own = {k: found[k] for k in ("observations", "next_observations", "actions")}
+    own["beads"] = found.get("beads", found["actions"][:, 0]).long()
+    own["vectors"] = KINDS[action].vector(found["actions"])
+    more = {k: found[k].float() for k in ("rewards", "discounts") if k in found}
+    return own | more
+
+
+def train(learner: BC, data: Sequence[Batch], updates: int) -> Iterator[int]:
+    """Train a learner on a set for each of its `sets`; yield after each update."""
     trained = {id(one): one for network in learner.networks for one in network.parameters()}
-    optimizer = torch.optim.AdamW(trained.values(), 1e-3, weight_decay=0.02)
-    for _ in range(steps):
-        rows = torch.randint(len(data[0]["beads"]), (256,))
-        batches = [{key: column[rows] for key, column in one.items()} for one in data]
+    optimizer = torch.optim.AdamW(trained.values(), RATE, weight_decay=DECAY)
+    for done in range(1, updates + 1):
+        batches = []
+        for each in data:
+            rows = torch.randint(len(each["beads"]), (BATCH,))
+            batches.append({key: column[rows] for key, column in each.items()})
         optimizer.zero_grad()
         learner.loss(*batches).backward()
         optimizer.step()
@@ -281,31 +405,73 @@ def train(name: str, datasets: list[str], steps: int, seed: int, out: Path) -> N
             for network, slow in learner.targets:
                 for new, old in zip(network.parameters(), slow.parameters(), strict=True):
                     old.lerp_(new, POLYAK)
-    torch.jit.script(learner.policy).save(str(out))
-    opened = [columns_of(one) for one in datasets]
+        yield done
+
+
+def make(given: Namespace, sets: dict[str, Batch]) -> None:
+    """Train a learner and write its policy.
+
+    Args:
+        given: the command's options; `updates` are those after which it is written, to `out`, or
+            of several all but the last to OUT_K.
+        sets: those of the SETS that are loaded; others are added.
+    """
+    torch.manual_seed(given.seed)
+    began, kind, made = time.process_time(), KINDS[given.action], LEARNERS[given.learner]
+    for one in made.sets:
+        if one not in sets:
+            sets[one] = load(given.datasets, given.action, one)
+    data = [sets[one] for one in made.sets]
+    learner = made(kind, given.width, data[0]["observations"])
+    for done in train(learner, data, max(given.updates)):
+        if done in given.updates:
+            last = done == max(given.updates)
+            out = given.out if last else given.out.with_stem(f"{given.out.stem}_{done}")
+            write(learner.policy, kind, given, done, out, time.process_time() - began)
+
+
+@lru_cache
+def digests(dataset: str) -> dict[str, str]:
+    opened = columns_of(dataset)
+    return {part.name: sha256(part.path) for part in opened.parts or [opened]}
+
+
+def write(
+    policy: nn.Module, kind: type[Actor], given: Namespace, updates: int, out: Path, seconds: float
+) -> None:
+    """Write weights, and the module that plays them."""
+    torch.save(policy.state_dict(), out)
+    settings = {"action": given.action, "updates": updates, "width": given.width}
+    more = {**settings, "seed": given.seed, "out": out.name}
+    words = [word for name, value in more.items() for word in (f"--{name}", str(value))]
     card = {
-        "learner": name,
-        "data": {part.name: sha256(part.path) for one in opened for part in one.parts or [one]},
-        "parameters": sum(one.numel() for one in learner.policy.parameters()),
-        "updates": steps,
-        "seed": seed,
-        "action": "decision",
-        "seconds": round(time.process_time() - began, 1),
-        "command": shlex.join(["python", "examples/learners/offline_torch.py", *sys.argv[1:]]),
+        "learner": given.learner,
+        "data": {k: v for one in given.datasets for k, v in digests(one).items()},
+        "parameters": sum(one.numel() for one in policy.parameters()),
+        **settings,
+        "seed": given.seed,
+        "seconds": round(seconds, 1),
+        "command": shlex.join(["python", SCRIPT, given.learner, *given.datasets, *words]),
     }
-    out.with_suffix(".py").write_text(MODULE.format(card=card))
+    field = isinstance(policy, Field)
+    classes = (Network, Actor, kind, *[Field] * field)
+    made = f"Field({kind.__name__}, {given.width})" if field else f"{kind.__name__}({given.width})"
+    sources = "\n\n".join(map(inspect.getsource, classes))
+    module = MODULE.format(card=card, action=given.action, classes=sources, made=made)
+    out.with_suffix(".py").write_text(module)
 
 
 def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("learner", choices=LEARNERS)
     parser.add_argument("datasets", nargs="+", help="Minari ids or folders, of the train split")
-    parser.add_argument("--steps", type=int, default=4000)
+    parser.add_argument("--action", choices=KINDS, default="decision")
+    parser.add_argument("--updates", type=int, nargs="+", default=[600])
+    parser.add_argument("--width", type=int, default=128)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, required=True, help="TorchScript file")
-    given = parser.parse_args()
+    parser.add_argument("--out", type=Path, required=True, help="file of weights")
     torch.set_num_threads(1)
-    train(given.learner, given.datasets, given.steps, given.seed, given.out)
+    make(parser.parse_args(), {})
 
 
 if __name__ == "__main__":
