@@ -72,8 +72,9 @@ class Row(NamedTuple):
 
     @property
     def who(self) -> tuple[str, ...]:
-        """Whose row it is; several seeds of one are averaged."""
-        return self.source, self.learner, self.tier, self.action
+        """Whose row it is, in any cell; several seeds of one are averaged."""
+        family = re.sub(r"^[a-z]+-nx\d-", "", self.source)
+        return family, self.learner, self.tier, self.action
 
     @property
     def rate(self) -> float:

@@ -15,7 +15,7 @@ what this one counts with them.
 
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -43,84 +43,22 @@ SHIPPED = {
 Counts = Counter[tuple[Any, int, Any]]
 
 
-@lru_cache
-def templates(nx: int) -> tuple[Any, ...]:
-    """List the passes that are tried at diagrams of nx crossings.
-
-    On the plain loop the bead is one in twenty, and the strand some beads away. Otherwise they lie
-    at a few fractions of any two arcs; or the strand is some beads away, which makes a kink.
-    """
-    places: list[tuple[int, int, int]] = []  # kind, bead, target
-    fractions: tuple[int, ...]
-    if nx == 0:
-        for bead in range(5, 100, 5):
-            for beads in (8, 11, 14, 18, 24, 32, 40, 50):
-                reached = (bead + beads, bead - beads)
-                places += [(0, bead, end) for end in reached if 0 < end < 100]
-    else:
-        # the more arcs there are, the fewer places on each: templates grow with the square
-        fractions = {1: (20, 50, 80), 2: (25, 50, 75)}.get(nx, (30, 70))
-        along = [100 * arc + part for arc in range(2 * nx + 1) for part in fractions]
-        places = [(0, bead, end) for bead in along for end in along if bead != end]
-        fractions = (30, 70) if nx > 1 else (20, 35, 50, 65, 80)
-        along = [100 * arc + part for arc in range(2 * nx + 1) for part in fractions]
-        places += [(1, bead, beads) for bead in along for beads in (10, 14, 18, -10, -14, -18)]
-    return tuple(
-        Moves(templates=[(*place, side) for place in places for side in (1, -1)]).templates
-    )
-
-
-TEMPLATES = [template for nx in range(MOST_NX + 1) for template in templates(nx)]
-_FIRST = np.cumsum([0, *(len(templates(nx)) for nx in range(MOST_NX))]).tolist()
-
-
-@lru_cache
-def numbers(nx: int) -> dict[Any, int]:
-    """The numbers of the templates of nx crossings in TEMPLATES."""
-    return {template: _FIRST[nx] + k for k, template in enumerate(templates(nx))}
-
-
-def image_of(number: int, image: int, nx: int) -> int:
-    """The number of a template's image."""
-    return numbers(nx)[TEMPLATES[number].image(image, nx)]
-
-
-def pooled(counts: Counts) -> Iterator[tuple[Any, int, Any, int, int]]:
-    """Yield the rows of a table: counts summed over the symmetries of each node.
-
-    What is counted for a move holds for its image under every symmetry that leaves its node as it
-    is; such a symmetry may exchange two of its moves.
-    """
-    tried, seen = Counter[tuple[Any, int]](), Counter[tuple[Any, int, Any]]()
-    for (before, number, after), count in counts.items():
-        for k in IMAGES:
-            if before.image(k) == before:
-                there = image_of(number, k, before.nx)
-                tried[before, there] += count
-                if after is not None:
-                    seen[before, there, after.image(k)] += count
-    return ((*key, count, tried[key[:2]]) for key, count in seen.items())
-
-
-def table_of(counts: Counts) -> Moves:
-    """The table of all that was counted."""
-    return Moves(pooled(counts), TEMPLATES)
-
-
 def best_passes(counts: Counts, goals: Iterable[GaussCode], most: int, least: int) -> Moves:
     """The table of the best passes of every diagram at which at least `least` began."""
-    values, begun = PassValues(table_of(counts)), Counter[Any]()
+    values, begun = PassValues(Moves.counted(counts)), Counter[Any]()
     for (before, _, _), count in counts.items():
         begun[before] += count
     kept = set[tuple[Any, int]]()
     for before in [diagram for diagram, count in begun.items() if count >= least]:
+        grid = Moves.grid(before.nx)
         for goal in goals:
             for k in IMAGES:
                 order = zip(values.order(goal, before.image(k)), range(most), strict=False)
                 kept |= {
-                    (before, image_of(number, k ^ j, before.nx)) for (number, j, _), _ in order
+                    (before, grid[values.moves.templates[number].image(k ^ j, before.nx)])
+                    for (number, j, _), _ in order
                 }
-    return table_of(Counter({key: count for key, count in counts.items() if key[:2] in kept}))
+    return Moves.counted({key: count for key, count in counts.items() if key[:2] in kept})
 
 
 def play(
@@ -152,7 +90,7 @@ def play(
             left -= plan.spent
             landing = plan.passes[-1].landing if plan.passes else None
         if landing is None:
-            some = templates(min(own.nx, MOST_NX))
+            some = [*Moves.grid(min(own.nx, MOST_NX))]
             # of the diagram's first image, for which templates are counted
             image = own.canonical()[1]
             move = some[int(rng.integers(len(some)))].on(sight, image)
@@ -184,7 +122,7 @@ def named(sight: Sight) -> dict[Pass, tuple[int, int]]:
     before = sight.diagram
     first, _ = before.canonical()
     own = [k for k in IMAGES if before.image(k) == first]
-    return {one.on(sight, k): (n, k) for k in own for one, n in numbers(before.nx).items()}
+    return {one.on(sight, k): (n, k) for k in own for one, n in Moves.grid(before.nx).items()}
 
 
 def goals_of(batch: EpisodeBatch, which: str) -> list[GaussCode]:
@@ -234,7 +172,7 @@ def main() -> None:
         # in order of their numbers, whichever ends first
         for _, found in sorted(BatchedSearch(128).run(played)):
             counts.update(found)
-        values = PassValues(table_of(counts))
+        values = PassValues(Moves.counted(counts))
         print(f"round {number + 1}, {task} {nx}: {counts.total()} passes, {len(counts)} outcomes")
     best_passes(counts, sought, args.most, args.least).save(args.out)
 

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 from board_rows import UNLEARNED, Refused, Row, require_apart, rows_of
 from numpy.typing import NDArray
-from seeds import CELLS, CHANGES, LEARNERS, ORDERED, SEEDS
 
 from knotgym.common import KnotgymError, atomic_write, one_line
 from knotgym.generate import SuiteConfig
@@ -39,7 +38,7 @@ ENTRIES, TEXT = BENCHMARKS / "entries", BENCHMARKS / "page.md"
 SUITE = SuiteConfig.SUITE
 SETUPS, BENCH_ENGINE = list(product(SUITE["tasks"], SUITE["nx"])), SUITE["bench"]["engine"]
 _OUTCOMES = ("start", "goal", "success")
-CLONERS = ("BC", "DiscreteBC", "GCBC", "d3rlpy recipe", "torch recipe")
+CLONERS = ("BC", "DiscreteBC", "GCBC", "NextBC", "d3rlpy recipe", "torch recipe")
 # entries that the project's own scripts made, of which README's table is
 OURS = re.compile(r"random|random-macro|expert|matching|recipe-\w+|((tie|convert)-nx\d-[-\w]+)")
 # rows of README's table: how they are called, what they see, and whose they may be
@@ -48,12 +47,13 @@ SHOWN: tuple[tuple[str, str, Fits], ...] = (
     ("random pulls", "nothing", lambda name, tier: name == "random"),
     ("random macro-actions", "nothing", lambda name, tier: name == "random macro-actions"),
     ("`matching`, follows a shape", "vertices", lambda name, tier: name == "matching"),
-    ("cloning: {}", "its code", lambda name, tier: name in CLONERS),
-    ("best of `noisy`: {}", "its code", lambda name, tier: "noisy" in tier),
-    ("best of `wander`: {}", "its code", lambda name, tier: "wander" in tier),
+    ("cloning:", "its code", lambda name, tier: name in CLONERS),
+    ("best of demonstrations (`noisy`):", "its code", lambda name, tier: "noisy" in tier),
+    ("best of random macro-actions (`wander`):", "its code", lambda name, tier: "wander" in tier),
     ("`expert`, plans in the simulator", "its code", lambda name, tier: name == "expert"),
 )
 MOST = 16  # states named of each cell
+SEVERAL = 3  # seeds that are compared, at least
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#999999")
 Floats = NDArray[np.float64]
 
@@ -108,16 +108,17 @@ def boards(rows: Sequence[Row]) -> Iterator[str]:
         yield ""
 
 
-def grid(rows: Sequence[Row]) -> dict[str, Floats]:
-    """Success rates of the learners with several seeds, (learners, seeds), by cell of `seeds`."""
-    found: dict[str, Floats] = {}
-    for name in CELLS:
-        own = [row for row in rows if row.source == name]
-        rates = [[row.rate for row in own if row.learner == learner] for learner in LEARNERS]
-        if all(rates):
-            count = min(map(len, rates))
-            found[name] = np.array([each[:count] for each in rates])
-    return found
+def grid(rows: Sequence[Row]) -> dict[str, dict[str, Floats]]:
+    """Success rates (seeds,) of learners with several seeds, by the entries' name and learner."""
+    found: dict[str, dict[str, Floats]] = {}
+    for row in rows:
+        own = found.setdefault(row.source, {})
+        own[row.learner] = np.append(own.get(row.learner, ()), row.rate)
+    return {
+        name: own
+        for name, own in sorted(found.items())
+        if len(own) > 1 and min(map(len, own.values())) >= SEVERAL
+    }
 
 
 def better(first: Floats, second: Floats) -> float:
@@ -134,58 +135,28 @@ def iqm(*cells: Floats, axis: int = -1) -> Any:
     return trim_mean(np.concatenate(cells, axis=axis), 0.25, axis=axis)
 
 
-def agreement(rates: Floats) -> tuple[float, float]:
-    """Kendall's tau of the learners' order, on average: of two seeds, and of two halves."""
+def tau(first: Sequence[float], second: Sequence[float]) -> float:
+    """Kendall's tau of two orders of the same learners."""
     from scipy.stats import kendalltau
 
-    def tau(one: Sequence[int], other: Sequence[int]) -> float:
-        means = (rates[:, list(own)].mean(axis=1) for own in (one, other))
-        return float(kendalltau(*means).statistic)
-
-    seeds = range(rates.shape[1])
-    single = [tau([one], [other]) for one, other in combinations(seeds, 2)]
-    halves = [
-        tau(one, other)
-        for one, other in combinations(combinations(seeds, len(seeds) // 2), 2)
-        if not {*one} & {*other}
-    ]
-    return float(np.mean(single)), float(np.mean(halves))
+    return float(kendalltau(first, second).statistic)
 
 
-def expected(cells: dict[str, Floats]) -> Iterator[tuple[str, str, str]]:
-    """What was expected before the first training, what was found, and whether it came true."""
-    number = {name: k for k, name in enumerate(LEARNERS)}
-
-    def gain(first: str, second: str, cell: str) -> float:
-        return float(100 * (cells[cell][number[first]] - cells[cell][number[second]]).mean())
-
-    for first, second in ORDERED:
-        own = cells["tie-nx2-10k"]
-        chance = better(own[number[first]], own[number[second]])
-        found = f"{gain(first, second, 'tie-nx2-10k'):+.1f} points, {100 * chance:.0f} % of pairs"
-        yield f"{first} above {second}", found, "yes" if chance >= 0.9 else "no"
-    for first, second, before, after in CHANGES:
-        text = f"{first} above {second} at {before}, below at {after}"
-        gains = [gain(first, second, cell) for cell in (before, after) if cell in cells]
-        found = " and ".join(f"{one:+.1f} points" for one in gains)
-        if len(gains) < 2:
-            yield text, f"{found}; {after} isn't measured yet", "no" if gains[0] <= 0 else "open"
-        else:
-            yield text, found, "yes" if gains[0] > 0 > gains[1] else "no"
+def agreement(rates: Floats) -> float:
+    """Kendall's tau of the order of learners (learners, seeds), on average, between two seeds."""
+    return float(np.mean([tau(one, other) for one, other in combinations(rates.T, 2)]))
 
 
-def five_seeds(cells: dict[str, Floats]) -> Iterator[str]:
+def seeds(cells: dict[str, dict[str, Floats]]) -> Iterator[str]:
     """Learners with several trainings: what is more than chance."""
     from scipy.stats import bootstrap
 
     if not cells:
         return
-    for name, trained in cells.items():
-        yield f"{name}: {trained.shape[1]} of {SEEDS} seeds are trained so far.\n"
-    rng = np.random.default_rng(0)
+    rng, names = np.random.default_rng(0), sorted(set.intersection(*map(set, cells.values())))
     body = []
-    for k, name in enumerate(LEARNERS):
-        own = [rates[k] for rates in cells.values()]
+    for name in names:
+        own = [rates[name] for rates in cells.values()]
         drawn = bootstrap(own, iqm, n_resamples=2000, method="percentile", rng=rng)
         low, high = (100 * end for end in drawn.confidence_interval)
         rates = (
@@ -194,12 +165,12 @@ def five_seeds(cells: dict[str, Floats]) -> Iterator[str]:
         )
         body.append((100 * float(iqm(*own)), name, low, high, *rates))
     body.sort(reverse=True)
-    head = ("learner", "IQM", "95 % interval", *(f"{name}, mean (worst to best)" for name in cells))
+    counts = (f"{name}, {len(own[names[0]])} seeds, mean (range)" for name, own in cells.items())
     lines = [
         (name, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", *own)
         for middle, name, low, high, *own in body
     ]
-    yield from table(head, lines)
+    yield from table(("learner", "IQM", "95 % interval", *counts), lines)
     yield "\n![Share of trainings with at least a success rate, by learner](profile.svg)\n"
     order = [row[1] for row in body]
     yield "How often a training of the row is better than one of the column, in per cent:\n"
@@ -209,34 +180,36 @@ def five_seeds(cells: dict[str, Floats]) -> Iterator[str]:
     ]
     pairs = [(name, *own) for name, own in zip(order, chances, strict=True)]
     yield from table(("", *order), pairs)
-    yield ""
-    for name, trainings in cells.items():
-        single, halves = agreement(trainings)
-        yield (
-            f"In {name}, Kendall's tau of the learners' order is {single:.2f} between two seeds,"
-            f" and {halves:.2f} between two halves of the seeds.\n"
-        )
-    yield "Expected before the first training (`benchmarks/seeds.py`), and found:\n"
-    yield from table(("expected", "found", "came true"), list(expected(cells)))
+    yield "\nKendall's tau of their order: of one cell between two seeds, of two between means:\n"
+    grids = {name: np.array([own[one] for one in names]) for name, own in cells.items()}
+    taus = [
+        [
+            agreement(one) if one is other else tau(one.mean(1), other.mean(1))
+            for other in grids.values()
+        ]
+        for one in grids.values()
+    ]
+    shown = [(name, *(f"{one:.2f}" for one in row)) for name, row in zip(cells, taus, strict=True)]
+    yield from table(("", *cells), shown)
     yield ""
 
 
-def chance(cells: dict[str, Floats], one: str, other: str) -> float:
+def chance(cells: dict[str, dict[str, Floats]], one: str, other: str) -> float:
     """The probability of improvement on average over cells."""
-    rows = [(rates[LEARNERS.index(one)], rates[LEARNERS.index(other)]) for rates in cells.values()]
-    return float(np.mean([better(*pair) for pair in rows]))
+    return float(np.mean([better(rates[one], rates[other]) for rates in cells.values()]))
 
 
-def profile(cells: dict[str, Floats]) -> str:
+def profile(cells: dict[str, dict[str, Floats]]) -> str:
     """Performance profiles: the share of trainings whose rate is at least x."""
     lines = []
-    for k, name in enumerate(LEARNERS if cells else ()):
-        own = np.concatenate([rates[k] for rates in cells.values()])
+    for k, name in enumerate(sorted({name for own in cells.values() for name in own})):
+        own = np.concatenate([rates[name] for rates in cells.values() if name in rates])
         steps = [f"{40 + 4 * x:.0f},{220 - 200 * np.mean(own >= x / 100):.0f}" for x in range(101)]
+        colour = COLOURS[k % len(COLOURS)]
         lines.append(
-            f'<polyline fill="none" stroke="{COLOURS[k]}" stroke-width="2"'
+            f'<polyline fill="none" stroke="{colour}" stroke-width="2"'
             f' points="{" ".join(steps)}"/>'
-            f'<text x="455" y="{30 + 22 * k}" fill="{COLOURS[k]}">{name}</text>'
+            f'<text x="455" y="{30 + 22 * k}" fill="{colour}">{name}</text>'
         )
     marks = [f'<text x="{35 + 100 * k}" y="240">{25 * k}</text>' for k in range(5)]
     return "\n".join(
@@ -286,7 +259,7 @@ def page(rows: Sequence[Row]) -> str:
     published = [(f"*{name}*", *own) for name, own in SUITE["published"].items()]
     parts = {
         "boards": boards(rows),
-        "seeds": five_seeds(grid(rows)),
+        "seeds": seeds(grid(rows)),
         "hard": hard_starts(rows),
         "published": table(("learner", *(f"{task} {nx}" for task, nx in SETUPS)), published),
     }
@@ -299,20 +272,19 @@ def page(rows: Sequence[Row]) -> str:
 def readme(text_: str, rows: Sequence[Row]) -> str:
     """README with its table: who doesn't learn, the best of each kind, and the expert."""
     cells = [(BENCH_ENGINE, task, nx) for task, nx in product(("tie", "convert"), (2, 3))]
-    whose: dict[tuple[str, ...], dict[Any, list[float]]] = {}
-    for row in rows:
-        if row.cell in cells and OURS.fullmatch(row.source):
-            whose.setdefault(row.who, {}).setdefault(row.cell, []).append(100 * row.rate)
     shown = []
     for says, sees, fits in SHOWN:
-        fit = [one for who, one in whose.items() if fits(who[1], who[2])]
-        names = [who for who, one in whose.items() if fits(who[1], who[2])]
-        if not fit:
-            continue
-        means = [{cell: float(np.mean(own)) for cell, own in one.items()} for one in fit]
-        best = max(range(len(fit)), key=lambda k: (len(means[k]), sum(means[k].values())))
-        rates = (f"{means[best][cell]:.1f}" if cell in means[best] else "-" for cell in cells)
-        shown.append((says.format(", ".join(filter(None, names[best][1:3]))), sees, *rates))
+        line: list[str] = []
+        for cell in cells:
+            whose: dict[tuple[str, ...], list[float]] = {}
+            for row in rows:
+                if row.cell == cell and OURS.fullmatch(row.source) and fits(row.learner, row.tier):
+                    whose.setdefault(row.who, []).append(100 * row.rate)
+            means = sorted((float(np.mean(own)), who[1]) for who, own in whose.items())
+            rate, name = means[-1] if means else (0.0, "")
+            named = f", {name}" * says.endswith(":")
+            line.append(f"{rate:.1f}{named}" if means else "not played")
+        shown.append((says.rstrip(":"), sees, *line))
     head = ("policy", "sees of the goal", *(f"{task} {nx}" for _, task, nx in cells))
     lines = "\n".join(table(head, shown))
     made, count = re.subn(

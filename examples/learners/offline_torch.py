@@ -19,13 +19,17 @@ import inspect
 import shlex
 import time
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
+
+try:
+    import torch
+except ModuleNotFoundError as error:
+    raise SystemExit("offline_torch.py needs torch: pip install '.[torch]'") from error
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits as logistic
 from torch.nn.functional import one_hot
@@ -343,16 +347,6 @@ def weighted(gain: Tensor, errors: Tensor) -> Tensor:
     return (weights / weights.mean() * errors).mean()
 
 
-def drawn(**chances: float) -> Callable[..., Any]:
-    """Load goals that are drawn among the states of a set."""
-
-    def opened(datasets: Sequence[str], action: str) -> Any:
-        goals = GoalSampling(**chances, geom_sample=chances["p_currgoal"] > 0)
-        return own(datasets, action, goals)
-
-    return opened
-
-
 def shown(datasets: Sequence[str], action: str) -> Any:
     """Load the actions in which a code was first shown, with that code as the goal."""
     parts = []
@@ -373,9 +367,11 @@ def own(datasets: Sequence[str], action: str, goals: GoalSampling | None = None)
 SETS: dict[str, Callable[[Sequence[str], str], Any]] = {
     "own": own,
     "next": shown,
-    "reached": drawn(p_currgoal=0, p_trajgoal=1, p_randomgoal=0),
-    "random": drawn(p_currgoal=0, p_trajgoal=0, p_randomgoal=1),
-    "mixed": drawn(p_currgoal=0.2, p_trajgoal=0.5, p_randomgoal=0.3),
+    "reached": partial(
+        own, goals=GoalSampling(p_currgoal=0, p_trajgoal=1, p_randomgoal=0, geom_sample=False)
+    ),
+    "random": partial(own, goals=GoalSampling(p_currgoal=0, p_trajgoal=0, p_randomgoal=1)),
+    "mixed": partial(own, goals=GoalSampling()),
 }
 
 
@@ -389,11 +385,11 @@ def load(datasets: Sequence[str], action: str, name: str) -> Batch:
     return own | more
 
 
-def train(learner: BC, data: Sequence[Batch], updates: int) -> Iterator[int]:
-    """Train a learner on a set for each of its `sets`; yield after each update."""
+def train(learner: BC, data: Sequence[Batch], updates: int) -> None:
+    """Train a learner on a set for each of its `sets`."""
     trained = {id(one): one for network in learner.networks for one in network.parameters()}
     optimizer = torch.optim.AdamW(trained.values(), RATE, weight_decay=DECAY)
-    for done in range(1, updates + 1):
+    for _ in range(updates):
         batches = []
         for each in data:
             rows = torch.randint(len(each["beads"]), (BATCH,))
@@ -405,17 +401,14 @@ def train(learner: BC, data: Sequence[Batch], updates: int) -> Iterator[int]:
             for network, slow in learner.targets:
                 for new, old in zip(network.parameters(), slow.parameters(), strict=True):
                     old.lerp_(new, POLYAK)
-        yield done
 
 
 def make(given: Namespace, sets: dict[str, Batch]) -> None:
-    """Train a learner and write its policy.
+    """Train a learner by the command's options; write its weights, and the module that plays them.
 
-    Args:
-        given: the command's options; `updates` are those after which it is written, to `out`, or
-            of several all but the last to OUT_K.
-        sets: those of the SETS that are loaded; others are added.
+    `sets` are those of the SETS that are loaded; others are added.
     """
+    torch.set_num_threads(1)
     torch.manual_seed(given.seed)
     began, kind, made = time.process_time(), KINDS[given.action], LEARNERS[given.learner]
     for one in made.sets:
@@ -423,42 +416,29 @@ def make(given: Namespace, sets: dict[str, Batch]) -> None:
             sets[one] = load(given.datasets, given.action, one)
     data = [sets[one] for one in made.sets]
     learner = made(kind, given.width, data[0]["observations"])
-    for done in train(learner, data, max(given.updates)):
-        if done in given.updates:
-            last = done == max(given.updates)
-            out = given.out if last else given.out.with_stem(f"{given.out.stem}_{done}")
-            write(learner.policy, kind, given, done, out, time.process_time() - began)
-
-
-@lru_cache
-def digests(dataset: str) -> dict[str, str]:
-    opened = columns_of(dataset)
-    return {part.name: sha256(part.path) for part in opened.parts or [opened]}
-
-
-def write(
-    policy: nn.Module, kind: type[Actor], given: Namespace, updates: int, out: Path, seconds: float
-) -> None:
-    """Write weights, and the module that plays them."""
-    torch.save(policy.state_dict(), out)
-    settings = {"action": given.action, "updates": updates, "width": given.width}
-    more = {**settings, "seed": given.seed, "out": out.name}
-    words = [word for name, value in more.items() for word in (f"--{name}", str(value))]
+    train(learner, data, given.updates)
+    torch.save(learner.policy.state_dict(), given.out)
+    settings = {name: getattr(given, name) for name in ("action", "updates", "width", "seed")}
+    options = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
+    opened = [columns_of(one) for one in given.datasets]
     card = {
         "learner": given.learner,
-        "data": {k: v for one in given.datasets for k, v in digests(one).items()},
-        "parameters": sum(one.numel() for one in policy.parameters()),
+        "data": {part.name: sha256(part.path) for one in opened for part in one.parts or [one]},
+        "parameters": sum(one.numel() for one in learner.policy.parameters()),
         **settings,
-        "seed": given.seed,
-        "seconds": round(seconds, 1),
-        "command": shlex.join(["python", SCRIPT, given.learner, *given.datasets, *words]),
+        "seconds": round(time.process_time() - began, 1),
+        "command": shlex.join(["python", SCRIPT, given.learner, *given.datasets, *options]),
     }
-    field = isinstance(policy, Field)
-    classes = (Network, Actor, kind, *[Field] * field)
-    made = f"Field({kind.__name__}, {given.width})" if field else f"{kind.__name__}({given.width})"
-    sources = "\n\n".join(map(inspect.getsource, classes))
-    module = MODULE.format(card=card, action=given.action, classes=sources, made=made)
-    out.with_suffix(".py").write_text(module)
+    policy = Field if isinstance(learner.policy, Field) else kind
+    classes = "\n\n".join(map(inspect.getsource, dict.fromkeys((Network, Actor, kind, policy))))
+    words = [kind.__name__] * (policy is Field) + [str(given.width)]
+    module = MODULE.format(
+        card=card,
+        action=given.action,
+        classes=classes,
+        made=f"{policy.__name__}({', '.join(words)})",
+    )
+    given.out.with_suffix(".py").write_text(module)
 
 
 def main() -> None:
@@ -466,11 +446,10 @@ def main() -> None:
     parser.add_argument("learner", choices=LEARNERS)
     parser.add_argument("datasets", nargs="+", help="Minari ids or folders, of the train split")
     parser.add_argument("--action", choices=KINDS, default="decision")
-    parser.add_argument("--updates", type=int, nargs="+", default=[600])
+    parser.add_argument("--updates", type=int, default=600)
     parser.add_argument("--width", type=int, default=128)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="file of weights")
-    torch.set_num_threads(1)
     make(parser.parse_args(), {})
 
 

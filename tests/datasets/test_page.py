@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,10 @@ def test_a_page_holds_all_states_and_episodes(states: States, shown: dict[str, A
     laid = steps["observation"][offsets[1] : offsets[2]].astype(float)
     laid -= laid.mean(axis=1, keepdims=True)
     assert np.abs(shown["unit"] * whole - laid).max() < 0.51 * shown["unit"]
+    told = re.findall(r"(\d+) reached, (\d+) failed", dict(shown["about"])["by goal"])
+    episodes = shown["episodes"]
+    assert sum(int(done) for done, _ in told) == sum(one["success"] for one in episodes)
+    assert sum(int(one) for pair in told for one in pair) == len(episodes)
 
 
 def test_crossings_of_a_page_spell_the_code(shown: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ import pytest
 from pytest_types import Patch
 from synthetic_episodes import TINY
 
+from knotgym.control import PassValues
 from knotgym.datasets import MinariMetadata, open_episodes, publish
 
 from ..scripts import ROOT, run_script
@@ -72,14 +73,28 @@ def test_recipes_of_the_page_train_and_play(library: str, room: Path, monkeypatc
     check_plays("model", monkeypatch)
 
 
+@pytest.mark.parametrize("action", ["decision", "macro"])
 @pytest.mark.parametrize(
-    "learner", ["DiscreteBC", "BC", "GCBC", "Flow", "IQL", "TD3BC", "GCIVL", "CRL"]
+    "learner", ["BC", "GCBC", "NextBC", "Flow", "IQL", "TD3BC", "GCIVL", "CRL"]
 )
-def test_a_learner_in_torch_trains_and_plays(learner: str, room: Path, monkeypatch: Patch) -> None:
+def test_a_learner_in_torch_trains_and_plays(
+    learner: str, action: str, room: Path, monkeypatch: Patch
+) -> None:
     pytest.importorskip("torch")
-    out = room / f"in_torch_{learner.lower()}.pt"
-    run_script(FOLDER / "offline_torch.py", learner, ID, "--steps", 2, "--out", out)
+    out = room / f"in_torch_{learner.lower()}_{action}.pt"
+    words = (learner, ID, "--action", action, "--updates", 2, "--width", 8, "--out", out)
+    run_script(FOLDER / "offline_torch.py", *words)
     check_plays(out.stem, monkeypatch)
+
+
+def test_values_of_diagrams_need_no_table_that_ships(room: Path, monkeypatch: Patch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("reads a table that ships")
+
+    monkeypatch.setattr(PassValues, "table", refuse)
+    run_script(FOLDER / "diagram_values.py", ID, "--out", room / "dv.h5")
+    assert str(room) not in (room / "dv.py").read_text()
+    check_plays("dv", monkeypatch)
 
 
 def test_an_onnx_session_and_a_torch_module_act(room: Path) -> None:

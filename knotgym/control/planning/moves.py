@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -150,6 +151,57 @@ class Moves:
         self._first: list[int] = []  # of each node, the first index of an equal one
         self.rows = np.zeros((0, 5), np.int64)
         self._arrange(rows)
+
+    @staticmethod
+    @lru_cache
+    def grid(nx: int) -> dict[PassTemplate, int]:
+        """Return the passes that are counted at diagrams of nx crossings, and their numbers.
+
+        On the plain loop the bead is one in twenty, and the strand some beads away. Otherwise they
+        lie at a few fractions of any two arcs; or the strand is some beads away, which makes a
+        kink.
+        """
+        places: list[tuple[int, int, int]] = []  # kind, bead, target
+        fractions: tuple[int, ...]
+        if nx == 0:
+            for bead in range(5, 100, 5):
+                for beads in (8, 11, 14, 18, 24, 32, 40, 50):
+                    reached = (bead + beads, bead - beads)
+                    places += [(AT, bead, end) for end in reached if 0 < end < 100]
+        else:
+            # the more arcs there are, the fewer places on each: they grow with the square
+            fractions = {1: (20, 50, 80), 2: (25, 50, 75)}.get(nx, (30, 70))
+            along = [100 * arc + part for arc in range(2 * nx + 1) for part in fractions]
+            places = [(AT, bead, end) for bead in along for end in along if bead != end]
+            fractions = (30, 70) if nx > 1 else (20, 35, 50, 65, 80)
+            along = [100 * arc + part for arc in range(2 * nx + 1) for part in fractions]
+            ends = (10, 14, 18, -10, -14, -18)
+            places += [(ALONG, bead, beads) for bead in along for beads in ends]
+        first = sum(len(Moves.grid(fewer)) for fewer in range(nx))
+        made = [PassTemplate(*place, side) for place in places for side in (1, -1)]
+        return {one: first + k for k, one in enumerate(made)}
+
+    @classmethod
+    def counted(cls, counts: Mapping[tuple[Diagram, int, Diagram | None], int]) -> Moves:
+        """Make the table of what passes of `grid` led to.
+
+        What is counted for a move holds for its image under every symmetry that leaves its node as
+        it is; such a symmetry may exchange two of its moves.
+
+        Args:
+            counts: diagram before, which is the first of its images; number of the move; diagram
+                after, None for any not of interest.
+        """
+        most = max((before.nx for before, _, _ in counts), default=0)
+        templates = [one for nx in range(most + 1) for one in cls.grid(nx)]
+        tried, seen = Counter[Any](), Counter[Any]()
+        for (before, number, after), count in counts.items():
+            for k in (k for k in range(IMAGES) if before.image(k) == before):
+                there = cls.grid(before.nx)[templates[number].image(k, before.nx)]
+                tried[before, there] += count
+                if after is not None:
+                    seen[before, there, after.image(k)] += count
+        return cls(((*key, count, tried[key[:2]]) for key, count in seen.items()), templates)
 
     def shown(self, goal: GaussCode, there: float, elsewhere: float) -> Array:
         """A value for the nodes that show a code, chirality aside, and another for the rest."""

@@ -46,12 +46,13 @@ class PassValues:
 
     A pass is worth the chance that it leads to a diagram of more worth, times what that is worth:
     then the best pass is the one by which, from here on, first choices are most likely right.
+    `doubt` failures are added to those counted, and paths of up to `sweeps` passes count.
     """
 
-    def __init__(self, moves: Moves) -> None:
-        self.moves = moves
-        # by outcome: seen of tried, as if _DOUBT more tries had failed
-        self._chance = _DISCOUNT * moves.seen / (moves.tried + _DOUBT)
+    def __init__(self, moves: Moves, doubt: float = _DOUBT, sweeps: int = _SWEEPS) -> None:
+        self.moves, self._sweeps = moves, sweeps
+        # by outcome: seen of tried, as if `doubt` more tries had failed
+        self._chance = _DISCOUNT * moves.seen / (moves.tried + doubt)
         self._values: dict[GaussCode, tuple[Array, Array]] = {}
         self._orders: dict[tuple[GaussCode, Diagram], list[tuple[int, float]]] = {}
 
@@ -132,9 +133,9 @@ class PassValues:
         """By node, the chance to reach the goal; and that if only passes that raise it count."""
         if goal not in self._values:
             moves, chance, shown = self.moves, self._chance, self.moves.shown(goal, 1.0, 0.0)
-            reach = moves.values(shown, chance, _SWEEPS)
+            reach = moves.values(shown, chance, self._sweeps)
             nearer = [np.where(moves.nearer(reach, k), chance, 0.0) for k in range(IMAGES)]
-            self._values[goal] = reach, moves.values(shown, nearer, _SWEEPS)
+            self._values[goal] = reach, moves.values(shown, nearer, self._sweeps)
         return self._values[goal]
 
 

@@ -212,9 +212,19 @@ def _episodes(
     parts = [one.select(own) for one, own in zip(datasets, chosen, strict=True) if own]
     if replay:
         parts = [expanded(one, replay) if one.episodes.is_recording else one for one in parts]
+    about["by goal"] = _by_goal([one.episodes.episodes for one in parts])
     shown = [(one, row) for one in parts for row in range(one.episodes.episodes.rows)]
     told = Counts.over(shown, "episodes of the page", len(shown))
     return {"episodes": [_episode(*one) for one in told], "beads": datasets[0].task.beads}
+
+
+def _by_goal(tables: Sequence[Mapping[str, NDArray[Any]]]) -> str:
+    """Say how many of the episodes that are shown reached each goal, most failures first."""
+    codes = np.concatenate([gauss_codes(own["goal_visits"]) for own in tables])
+    success = np.concatenate([own["success"] for own in tables])
+    found = [(int((codes == code).sum()), success[codes == code].sum(), code) for code in {*codes}]
+    found.sort(key=lambda one: (one[1] - one[0], one[2]))
+    return "; ".join(f"{code}: {done} reached, {of - done} failed" for of, done, code in found)
 
 
 def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
