@@ -5,6 +5,7 @@ included set of states. Some corrupted files make the HDF5 library crash or loop
 check in Python can prevent: `try_files` reads them in another process first.
 """
 
+import os
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import BrokenExecutor, Executor
@@ -13,7 +14,14 @@ from typing import NamedTuple
 
 import h5py
 
-from knotgym.common import InvalidFile, InvalidInput, format_of, require_no_links, require_stored
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    Threads,
+    format_of,
+    require_no_links,
+    require_stored,
+)
 from knotgym.datasets.episode_dataset import FORMAT, datasets_below, episode_file, open_episodes
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest import read_manifest
@@ -139,7 +147,8 @@ def try_files(paths: Iterable[Path], pool: Executor) -> None:
     for path in paths:
         if not path.is_file() or not h5py.is_hdf5(path):
             continue
-        limit = _LIMIT + path.stat().st_size / _SLOWEST
+        busy = max(1.0, os.getloadavg()[0] / Threads.cores())  # others have their turn
+        limit = busy * (_LIMIT + path.stat().st_size / _SLOWEST)
         try:
             if unread := pool.submit(_read_whole, path).result(limit):
                 raise InvalidFile(f"{path} isn't whole: the HDF5 library can't read {unread}")
