@@ -53,7 +53,7 @@ WORK = {
         100,
         400,
     ),
-    "near": Work(["-c", _NEAR], 2, 20),
+    "near": Work(["-c", _NEAR], 100, 2000),
     "collect": Work(
         f"{KNOTGYM} collect --task tie --nx 2 --policy random --episodes {{n}} --engine chain"
         " --form columns --out {out} --workers 1",
