@@ -5,8 +5,9 @@
 OTHER is a checkout of another commit with the package installed in its `.venv`, as here. Each row
 of WORK is run for a small and for a large number of items in both, by turns, with one process and
 one thread; what an item costs is the difference, so that imports, reading and cards don't count.
-Run everything once before, so that nothing is compiled. Prints milliseconds an item, here and
-there, and how many times as many items a CPU second this checkout makes: the median of the rounds.
+Run everything once before, so that nothing is compiled. An item of `stream` is a batch of 64
+pictures, of `near` all pairs of a set. Prints milliseconds an item, here and there, and how many
+times as many items a CPU second this checkout makes: the median of the rounds.
 """
 
 import argparse
@@ -24,8 +25,9 @@ _STREAM = """
 import itertools
 from knotgym.generate import ImagesConfig
 from knotgym.loaders import stream
-rows = stream(ImagesConfig(nx=(0, 1, 2, 3, 4), engine="chain"), seed=0)
-for row in itertools.islice(rows, {n}): pass
+config = ImagesConfig(nx=(0, 1, 2, 3, 4), engine="chain")
+blocks = stream(config, seed=0, batch=64, block=64, shuffled=1, repeats=1)
+for pictures in itertools.islice(blocks, {n}): pass
 """
 _NEAR = """
 from knotgym.states import read_states, resolve_states
@@ -47,11 +49,11 @@ _IMAGES = f"{KNOTGYM} images --engine chain --nx 0-4 --count {{n}} --out {{out}}
 WORK = {
     "pictures": Work(f"{_IMAGES} --appearance published", 200, 800),
     "photos": Work(f"{_IMAGES} --appearance photo", 50, 200),
-    "stream": Work(["-c", _STREAM], 200, 800),
+    "stream": Work(["-c", _STREAM], 2, 8),
     "states": Work(
         f"{KNOTGYM} generate --nx 0-4 --count {{n}} --out {{out}} --workers 1 --no-demonstrations",
-        100,
-        400,
+        20,
+        60,
     ),
     "near": Work(["-c", _NEAR], 100, 2000),
     "collect": Work(
