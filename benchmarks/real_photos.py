@@ -26,7 +26,9 @@ from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 from knotgym.topology import RopesCode, find_ropes_crossings
 
-Known = tuple[str, NDArray[np.uint8], RopesCode | None, bool]  # name, picture, code, is closed
+# name, picture, code (None without a rope), is closed, and crossings: more than the code's where
+# they can be counted, but which strand is over can't be told by eye
+Known = tuple[str, NDArray[np.uint8], RopesCode | None, bool, int]
 PHONE: dict[str, Any] = {"look": "phone", "open": 0.0, "cropped": 0.0}
 
 
@@ -46,7 +48,7 @@ KINDS = {
     "2 to 4 ropes": Kind(PHONE | {"ropes": (2, 3, 4)}, (2, 4)),
     "cropped": Kind(PHONE | {"open": 0.5, "cropped": 1.0}, (1, 9)),
     "8 to 30 degrees": Kind(PHONE | {"open": 0.5}, (0, 1), 30.0),
-    "no rope": Kind(PHONE, bare=True),
+    "no rope": Kind(PHONE | {"open": 1.0}, (1, 1), bare=True),
 }
 
 
@@ -55,7 +57,8 @@ def real(folder: Path, labels: Path) -> Iterator[Known]:
         for row in csv.DictReader(file):
             path, closed = folder / row["repo"] / row["path"], row["ends"] == "closed"
             picture = open_picture(path if path.exists() else folder / row["path"])
-            yield row["path"], picture, RopesCode.parse(row["gauss_code"], closed), closed
+            code = RopesCode.parse(row["gauss_code"], closed)
+            yield row["path"], picture, code, closed, int(row["crossings"])
 
 
 def drawn(name: str, count: int) -> Iterator[Known]:
@@ -71,12 +74,13 @@ def drawn(name: str, count: int) -> Iterator[Known]:
             continue
         picture, code = shot.image, None if kind.bare else shot.code
         if kind.bare:  # a part without any rope
-            row, column = rng.integers(0, 128, 2)
-            window = slice(row, row + 128), slice(column, column + 128)
-            if np.pad(shot.strands, 12)[row : row + 152, column : column + 152].any():
+            row, column = rng.integers(0, 160, 2)
+            window = slice(row, row + 96), slice(column, column + 96)
+            if np.pad(shot.strands, 12)[row : row + 120, column : column + 120].any():
                 continue
             picture = picture[window]
-        yield f"{name} {count}", picture, code, not shot.ropes and code is not None
+        closed = not shot.ropes and code is not None
+        yield f"{name} {count}", picture, code, closed, code.nx if code else 0
         count -= 1
 
 
@@ -99,19 +103,22 @@ def least_angle(shot: Any) -> float:
 def score(photos: Iterator[Known], weights: list[str], says: bool) -> Counter[str]:
     """Read photos and count what is right; `says` prints what isn't."""
     reader, counts, spent = load_rope_reader(*weights), Counter[str](), 0.0
-    for name, picture, code, closed in photos:
+    for name, picture, code, closed, crossings in photos:
         start = time.process_time()
         reading = reader.read(picture)
         spent += time.process_time() - start
         found = reading.code and reading.code.plain.smallest(ordered=False)
         wanted = code and code.plain.smallest(ordered=False)
-        right, sure = found == wanted, reading.confidence >= 0.5
+        known, sure = crossings == (code.nx if code else 0), reading.confidence >= 0.5
+        right = known and found == wanted
         counts["photos"] += 1
-        counts["crossings"] += reading.crossings == (code.nx if code else 0)
+        counts["known codes"] += known
+        counts["crossings"] += reading.crossings == crossings
         counts["whole code"] += right
         counts["false closed"] += reading.closed and not closed
         counts["refused"] += code is not None and reading.code is None
         counts["sure"] += sure
+        counts["sure of known"] += sure and known
         counts["sure and right"] += right and sure
         if says and not right:
             print(f"{name}: {wanted}, read {found} ({reading.confidence:.2f}) {reading.reason}")
