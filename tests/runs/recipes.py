@@ -14,6 +14,7 @@ from knotgym import generate
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.runs.identities import Identity
+from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.runs.runner import Call, Recipe, run
 
@@ -50,7 +51,9 @@ def collected(out: Path, options: RunOptions) -> Path:
 
 
 def evaluated(out: Path, options: RunOptions) -> Path:
-    generate.evaluate(generate.EvaluateConfig(nx=(1, 2), episodes=70, task=CHAIN), options, out=out)
+    config = generate.EvaluateConfig(nx=(1, 2), episodes=70, task=CHAIN)
+    with Progress(options.quiet) as progress:  # as the command; the function alone says nothing
+        generate.evaluate(config, options, out=out, progress=progress)
     return out if options.shard.is_whole else options.shard.journal(out)
 
 
