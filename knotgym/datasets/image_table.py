@@ -308,7 +308,10 @@ def measures_of(table: Any) -> dict[str, tuple[str, NDArray[np.float64]]]:
 
 def is_unchanged(table: Any) -> bool:
     """Whether the rows that were read from a shard are those that were written."""
-    return bool(_named(table.schema).get(_DIGEST) == _content_digest(table))
+    try:
+        return bool(_named(table.schema).get(_DIGEST) == _content_digest(table))
+    except InvalidFile:  # the digest isn't even text
+        return False
 
 
 def _content_digest(table: Any) -> str:
@@ -373,7 +376,8 @@ def _faults_named(path: Path) -> AbstractContextManager[None]:
 
 def _named(schema: Any) -> dict[str, Any]:
     """Read the metadata of a shard's schema under the key "knotgym"."""
-    named = json.loads((schema.metadata or {}).get(b"knotgym", b"{}"))
+    with InvalidFile.instead("a shard's metadata isn't JSON", ValueError, RecursionError):
+        named = json.loads((schema.metadata or {}).get(b"knotgym", b"{}"))
     return named if isinstance(named, dict) else {}
 
 

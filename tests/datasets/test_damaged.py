@@ -116,3 +116,12 @@ def test_no_reader_follows_a_link_to_episodes(tmp_path: Path) -> None:
     shutil.copy(TINY["random"], tmp_path / "own.h5")
     (tmp_path / "mine.h5").symlink_to(tmp_path / "own.h5")  # that the user names
     assert columns_of(tmp_path / "mine.h5").episodes.episodes.rows
+
+
+def test_a_shard_s_metadata_that_is_no_text_is_one_line(
+    rows: list[dict[str, Any]], tmp_path: Path, capfd: Capture
+) -> None:
+    whole = parquet(rows)
+    at = whole.rindex(b'{"')  # of the JSON in the footer
+    (tmp_path / "a.parquet").write_bytes(whole[: at + 2] + b"\xa8" + whole[at + 3 :])
+    assert "a.parquet" in refused("verify", tmp_path / "a.parquet", capfd)
