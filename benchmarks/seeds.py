@@ -1,16 +1,18 @@
 """Seeds of eight learners on tiers of bench: which differences are more than chance.
 
-    python benchmarks/seeds.py ROOM
+    python benchmarks/seeds.py ROOM [--cells NAME ...] [--updates]
 
 Trains the learners of `examples/learners/offline_torch.py` on the sets of demonstrations (`noisy`,
-in decisions) and of random macro-actions (`wander`, in macro-actions), plays each on the test split
-with protocol code, and keeps them as entries, ROOM/entries/CELL-seedK.h5, the smallest cells first.
-What is there stays, so the script can be stopped and run again. It needs torch, and the sets:
+in decisions) and of random macro-actions (`wander`, in macro-actions), and for the latter those of
+a graph of codes above NextBC. Plays each on the test split by the cell's protocol, and keeps them
+as entries, ROOM/entries/CELL-seedK.h5, the smallest cells first. What is there stays, so the script
+can be stopped and run again. It needs torch, and the sets:
 `knotgym suite --states bench --size 100k --policy wander --task tie --nx 2 --out ROOM/data`.
 `benchmarks/results.py` makes the page.
 
-The settings were fixed before the first training that counts: one number of updates for all, by no
-search, as cores were short.
+--updates plays train starts instead, after each number of updates in TRIED, seed 0. By these rates
+a cell's number was chosen before anything played test: the smallest that doubled brings no learner
+a gain whose interval excludes 0.
 """
 
 import os
@@ -19,66 +21,122 @@ import sys
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).parents[1]
+WIDTH, TRIED = 128, (600, 1200, 2400, 4800)  # batches of 128, AdamW at 1e-3
 LEARNERS = ("BC", "GCBC", "NextBC", "Flow", "GCIVL", "IQL", "TD3BC", "CRL")
-UPDATES, WIDTH, SEEDS = 600, 128, 5  # batches of 128, AdamW at 1e-3
 ACTIONS = {"noisy": "decision", "wander": "macro"}
-# task, nx, tier, size, seeds: the small ones first
-CELLS = {
-    f"{task}-nx{nx}-{tier}-{size}": (task, nx, tier, size, seeds)
-    for task, nx, tier, size, seeds in (
-        ("tie", 2, "wander", "100k", 5),
-        ("tie", 2, "noisy", "100k", 5),
-        ("tie", 3, "wander", "100k", 5),
-        ("tie", 3, "noisy", "10k", 5),
-        ("convert", 2, "wander", "100k", 1),
-        ("convert", 2, "noisy", "10k", 1),
-        ("convert", 3, "wander", "100k", 1),
-        ("convert", 3, "noisy", "10k", 1),
-    )
-}
 
 
-def train(room: Path, name: str, seed: int, loaded: dict[str, Any]) -> Path:
-    """Train what a folder lacks of the learners of a cell; return the folder."""
+class Cell(NamedTuple):
+    """What is trained on one set, and played."""
+
+    task: str
+    nx: int
+    tier: str
+    size: str
+    seeds: int
+    updates: int
+    protocol: str = "code"
+    learners: tuple[str, ...] = LEARNERS
+
+    @property
+    def name(self) -> str:
+        kind = f"-{self.protocol}" * (self.protocol != "code")
+        return f"{self.task}-nx{self.nx}{kind}-{self.tier}-{self.size}"
+
+    @property
+    def data(self) -> str:
+        return f"data/knotgym/{self.task}-nx{self.nx}/{self.tier}-chain-bench-{self.size}-v0"
+
+
+ALL = (
+    Cell("tie", 2, "wander", "100k", 5, 1200),
+    Cell("tie", 2, "noisy", "100k", 5, 600),
+    Cell("tie", 3, "wander", "100k", 5, 600),
+    Cell("tie", 3, "noisy", "10k", 5, 600),
+    Cell("convert", 2, "wander", "100k", 3, 600),
+    Cell("convert", 2, "noisy", "10k", 3, 600),
+    Cell("convert", 3, "wander", "100k", 3, 600),
+    Cell("convert", 3, "noisy", "10k", 3, 600),
+    Cell("tie", 2, "noisy", "100k", 5, 600, "goal-state", ("BC", "GCBC")),
+    Cell("tie", 3, "noisy", "10k", 5, 600, "goal-state", ("BC", "GCBC")),
+)
+CELLS = {cell.name: cell for cell in ALL}
+
+
+def train(
+    cell: Cell, seed: int, count: int, out: dict[str, Path], loaded: dict[str, Any]
+) -> list[str]:
+    """Train those learners of a cell whose files `out` aren't there; return words that name all."""
     import offline_torch  # here, as --help needs no torch
 
-    task, nx, tier, size, _ = CELLS[name]
-    folder = Path(f"{name}-seed{seed}")
-    folder.mkdir(exist_ok=True)
-    data = f"data/knotgym/{task}-nx{nx}/{tier}-chain-bench-{size}-v0"
-    for learner in LEARNERS:
-        out = folder / f"{learner}.pt"
-        if not out.with_suffix(".py").exists():
-            settings = {"action": ACTIONS[tier], "updates": UPDATES, "width": WIDTH}
-            given = Namespace(learner=learner, datasets=[data], seed=seed, out=out, **settings)
+    from knotgym.generate import PROTOCOLS
+
+    views = {"observation": PROTOCOLS[cell.protocol], "action": ACTIONS[cell.tier]}
+    for learner, file in out.items():
+        if not file.with_suffix(".py").exists():
+            file.parent.mkdir(exist_ok=True)
+            given = Namespace(learner=learner, datasets=[cell.data], seed=seed, width=WIDTH)
+            vars(given).update(views, updates=count, out=file)
             offline_torch.make(given, loaded)
-    return room / folder
+    return [word for file in out.values() for word in ("--policy", f"{file.stem}:act")]
+
+
+def entry(cell: Cell, seed: int, loaded: dict[str, Any]) -> None:
+    """Train a cell's learners with a seed, and keep what they play on the test split."""
+    import code_graph
+
+    file = Path("entries", f"{cell.name}-seed{seed}.h5")
+    if file.exists():
+        return
+    folder = Path(f"{cell.name}-seed{seed}")
+    out = {learner: folder / f"{learner}.pt" for learner in cell.learners}
+    acting = train(cell, seed, cell.updates, out, loaded)
+    if cell.tier == "wander":
+        code_graph.make(out["NextBC"], cell.data, folder / "graph.json")
+        acting += ["--policy", "graph:act"]
+    acting += ["--protocol", cell.protocol, "--record", f"../{file}"]  # no path of this machine
+    evaluate(cell, folder, acting)
+
+
+def updates(cell: Cell, loaded: dict[str, Any]) -> None:
+    """Train a cell's learners with seed 0 for each number in TRIED, and play train starts."""
+    folder, acting = Path(f"{cell.name}-updates"), []
+    for count in TRIED:
+        out = {learner: folder / f"{learner}{count}.pt" for learner in cell.learners}
+        acting += train(cell, 0, count, out, loaded)
+    acting += ["--states", "bench", "--engine", "chain", "--split", "train"]
+    evaluate(cell, folder, [*acting, "--out", "scores.json"])
+
+
+def evaluate(cell: Cell, folder: Path, words: list[str]) -> None:
+    """Play 256 episodes of each policy in a folder."""
+    setup = ("--task", cell.task, "--nx", str(cell.nx), "--workers", "1")
+    subprocess.run(("knotgym", "evaluate", *words, *setup), cwd=folder, check=True)
 
 
 def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("room", type=Path, help="folder of data, models and entries")
     parser.add_argument("--cells", nargs="+", choices=CELLS, default=list(CELLS))
+    parser.add_argument("--updates", action="store_true", help="play train starts, seed 0")
     given = parser.parse_args()
     room = given.room.resolve()
     sys.path.insert(0, str(ROOT / "examples" / "learners"))
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     os.chdir(room)
     Path("entries").mkdir(exist_ok=True)
-    sets: dict[str, dict[str, Any]] = {name: {} for name in given.cells}  # stay in memory
-    for seed, name in product(range(SEEDS), given.cells):
-        task, nx, *_, seeds = CELLS[name]
-        entry = Path("entries", f"{name}-seed{seed}.h5")
-        if seed < seeds and not entry.exists():
-            folder = train(room, name, seed, sets[name])
-            acting = [word for one in LEARNERS for word in ("--policy", f"{one}:act")]
-            acting += ["--protocol", "code", "--task", task, "--nx", str(nx), "--workers", "1"]
-            # no path of this machine in a claim
-            words = ("knotgym", "evaluate", *acting, "--record", f"../{entry}")
-            subprocess.run(words, cwd=folder, check=True)
+    cells = [CELLS[name] for name in given.cells]
+    loaded: dict[str, dict[str, Any]] = {cell.name: {} for cell in cells}  # stays in memory
+    if given.updates:
+        for cell in cells:
+            updates(cell, loaded[cell.name])
+        return
+    for seed, cell in product(range(max(cell.seeds for cell in cells)), cells):
+        if seed < cell.seeds:
+            entry(cell, seed, loaded[cell.name])
 
 
 if __name__ == "__main__":

@@ -61,10 +61,11 @@ def predict(observations):
     return network.act(torch.from_numpy(observations)).numpy()
 
 
-act = as_policy(predict, action="{action}")
+act = as_policy(predict, action="{action}", observation="{observation}")
 """
-INPUTS, BATCH, RATE, DECAY = 609, 128, 1e-3, 0.02
+BATCH, RATE, DECAY = 128, 1e-3, 0.02
 DISCOUNT, EXPECTILE, POLYAK, GREED, WEIGHT, LARGEST = 0.98, 0.9, 0.01, 2.5, 1.0, 100.0
+SETTINGS = ("observation", "action", "updates", "width", "seed")
 SCRIPT = "examples/learners/offline_torch.py"
 Batch = dict[str, Tensor]
 
@@ -95,9 +96,9 @@ class Actor(nn.Module):
 
     REST, VECTOR = 0, 0  # outputs of the rest; numbers of an action as critics and fields see it
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, inputs: int, width: int) -> None:
         super().__init__()
-        self.body, self.scores = Network(609, width, width, 0.1), nn.Linear(width, 100)
+        self.body, self.scores = Network(inputs, width, width, 0.1), nn.Linear(width, 100)
         self.which, self.rest = nn.Linear(100, width), nn.Linear(width, self.REST)
         apart = (torch.arange(100)[:, None] - torch.arange(100) + 50) % 100 - 50
         # a bead that is near is nearly as good
@@ -188,10 +189,10 @@ class Macros(Actor):
 class Field(nn.Module):
     """Actions of a velocity field, begun in the middle of the noise."""
 
-    def __init__(self, kind: type[Actor], width: int) -> None:
+    def __init__(self, kind: type[Actor], inputs: int, width: int) -> None:
         super().__init__()
         self.kind, size = kind, kind.VECTOR
-        self.body = Network(609 + size + 1, size, width, 0.1)
+        self.body = Network(inputs + size + 1, size, width, 0.1)
 
     def act(self, seen: Tensor) -> Tensor:
         vector = torch.zeros(len(seen), self.kind.VECTOR)
@@ -211,7 +212,7 @@ class BC:
 
     def __init__(self, kind: type[Actor], width: int, seen: Tensor) -> None:
         self.policy: nn.Module
-        self.actor = self.policy = kind(width)
+        self.actor = self.policy = kind(seen.shape[1], width)
         self.actor.body.like(seen)
         self.seen, self.width, self.vector = seen, width, kind.VECTOR
         self.networks: list[nn.Module] = [self.actor]
@@ -219,7 +220,7 @@ class BC:
 
     def network(self, more: int, outputs: int) -> Network:
         """A network of observations and `more` inputs, which is trained."""
-        made = Network(INPUTS + more, outputs, self.width)
+        made = Network(self.seen.shape[1] + more, outputs, self.width)
         made.like(torch.cat([self.seen, torch.randn(len(self.seen), more)], 1))
         self.networks.append(made)
         return made
@@ -244,7 +245,7 @@ class NextBC(BC):
 class Flow(GCBC):
     def __init__(self, kind: type[Actor], width: int, seen: Tensor) -> None:
         super().__init__(kind, width, seen)
-        self.policy = self.field = Field(kind, width)
+        self.policy = self.field = Field(kind, seen.shape[1], width)
         noise = torch.randn(len(seen), kind.VECTOR), torch.rand(len(seen), 1)
         self.field.body.like(torch.cat([seen, *noise], 1))
         self.networks = [self.field]
@@ -347,24 +348,21 @@ def weighted(gain: Tensor, errors: Tensor) -> Tensor:
     return (weights / weights.mean() * errors).mean()
 
 
-def shown(datasets: Sequence[str], action: str) -> Any:
+def shown(datasets: Sequence[str], views: dict[str, Any]) -> Any:
     """Load the actions in which a code was first shown, with that code as the goal."""
     parts = []
     for one in datasets:
-        moves = Transitions(
-            one, observation="marked", action=action, frame="canonical", relabel="all"
-        )
+        moves = Transitions(one, relabel="all", **views)
         parts.append(moves.batch(np.flatnonzero(moves.terminals)))
     return {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
 
 
-def own(datasets: Sequence[str], action: str, goals: GoalSampling | None = None) -> Any:
+def own(datasets: Sequence[str], views: dict[str, Any], goals: GoalSampling | None = None) -> Any:
     """Load all actions, with the episodes' own goals if no others are drawn."""
-    window = Window(discount=DISCOUNT, goals=goals)
-    return arrays(datasets, observation="marked", action=action, frame="canonical", window=window)
+    return arrays(datasets, window=Window(discount=DISCOUNT, goals=goals), **views)
 
 
-SETS: dict[str, Callable[[Sequence[str], str], Any]] = {
+SETS: dict[str, Callable[[Sequence[str], dict[str, Any]], Any]] = {
     "own": own,
     "next": shown,
     "reached": partial(
@@ -375,12 +373,13 @@ SETS: dict[str, Callable[[Sequence[str], str], Any]] = {
 }
 
 
-def load(datasets: Sequence[str], action: str, name: str) -> Batch:
+def load(given: Namespace, name: str) -> Batch:
     """Load one of the SETS as tensors."""
-    found = {k: torch.from_numpy(v) for k, v in SETS[name](datasets, action).items()}
+    views = {"observation": given.observation, "action": given.action, "frame": "canonical"}
+    found = {k: torch.from_numpy(v) for k, v in SETS[name](given.datasets, views).items()}
     own = {k: found[k] for k in ("observations", "next_observations", "actions")}
     own["beads"] = found.get("beads", found["actions"][:, 0]).long()
-    own["vectors"] = KINDS[action].vector(found["actions"])
+    own["vectors"] = KINDS[given.action].vector(found["actions"])
     more = {k: found[k].float() for k in ("rewards", "discounts") if k in found}
     return own | more
 
@@ -413,12 +412,12 @@ def make(given: Namespace, sets: dict[str, Batch]) -> None:
     began, kind, made = time.process_time(), KINDS[given.action], LEARNERS[given.learner]
     for one in made.sets:
         if one not in sets:
-            sets[one] = load(given.datasets, given.action, one)
+            sets[one] = load(given, one)
     data = [sets[one] for one in made.sets]
     learner = made(kind, given.width, data[0]["observations"])
     train(learner, data, given.updates)
     torch.save(learner.policy.state_dict(), given.out)
-    settings = {name: getattr(given, name) for name in ("action", "updates", "width", "seed")}
+    settings = {name: getattr(given, name) for name in SETTINGS}
     options = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
     opened = [columns_of(one) for one in given.datasets]
     card = {
@@ -431,10 +430,12 @@ def make(given: Namespace, sets: dict[str, Batch]) -> None:
     }
     policy = Field if isinstance(learner.policy, Field) else kind
     classes = "\n\n".join(map(inspect.getsource, dict.fromkeys((Network, Actor, kind, policy))))
-    words = [kind.__name__] * (policy is Field) + [str(given.width)]
+    sizes = [str(data[0]["observations"].shape[1]), str(given.width)]
+    words = [kind.__name__] * (policy is Field) + sizes
     module = MODULE.format(
         card=card,
         action=given.action,
+        observation=given.observation,
         classes=classes,
         made=f"{policy.__name__}({', '.join(words)})",
     )
@@ -445,6 +446,8 @@ def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("learner", choices=LEARNERS)
     parser.add_argument("datasets", nargs="+", help="Minari ids or folders, of the train split")
+    goal = "what is seen of the goal: its code, or vertices that show it"
+    parser.add_argument("--observation", choices=("marked", "state"), default="marked", help=goal)
     parser.add_argument("--action", choices=KINDS, default="decision")
     parser.add_argument("--updates", type=int, default=600)
     parser.add_argument("--width", type=int, default=128)
