@@ -455,10 +455,10 @@ def _frames_of(
     for (points, number, pulls, crossings, sight), whole in zip(found, measured, strict=True):
         quality = replace(whole, base_spacing=np.inf)  # the base bead is chosen below
         faults = config.limits.faults(quality, crossings.nx)
-        if not faults and number % _CHECKED == 0 and pyknotid_code(points) != crossings.code:
-            faults = ["labellers disagree"]
         if not faults and not drawer.legible(points, min(look.sides), crossings):
             faults = ["illegible"]
+        if not faults and number % _CHECKED == 0 and pyknotid_code(points) != crossings.code:
+            faults = ["labellers disagree"]
         if faults:
             dropped[faults[0]] += 1
             continue

@@ -10,6 +10,7 @@ those of an outside computation.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Array, InvalidInput, Stream
 from knotgym.photos.photo_look import DEFAULT, LOOKS, Photo, Rng, drawn_look
-from knotgym.photos.photo_painting import PhotoRope, PhotoView, Shot, ground_of, painted
+from knotgym.photos.photo_painting import PhotoRope, PhotoView, Shot, ground_of, is_clear, painted
 from knotgym.rendering import AppearanceConfig, Drawer, Drawn, checked_points
 from knotgym.topology import Crossings
 
@@ -78,8 +79,10 @@ class PhotoDrawer(Drawer):
         rope = PhotoRope(points, size, crossings)
         look = _clearest(rope)
         view = PhotoView(rope, look)
-        region = view.region(2 * look.radius)
-        return bool(region) and painted(view, look, region, exposed=False).legible
+        if not view.region(2 * look.radius):
+            return False
+        view.stamp(look.radius)
+        return is_clear(view, look)
 
 
 def photograph(
@@ -116,9 +119,9 @@ def photograph(
 def _clearest(rope: PhotoRope, camera: Camera = (0.0, 0.0)) -> Photo:
     """Return the plainest look: a narrow white rope on a dark surface, as large as the picture."""
     (least, most), bright = LOOKS[_CONFIG.look].widths, (235, 230, 220)
-    look = _framed(rope, camera, 0.0, 1.0, np.zeros(2), most, first=bright, last=bright)
     # as narrow as allowed, which leaves most background between strands
-    return replace(look, width=least / (2 * DEFAULT.rope_radius * look.scale))
+    more: dict[str, Any] = {"first": bright, "last": bright}
+    return _framed(rope, camera, 0.0, 1.0, (0.0, 0.0), most, least, **more)
 
 
 def _drawn_camera(rng: Rng, tilt: float = TILT) -> Camera:
@@ -150,11 +153,8 @@ def take(points: Array, look: Photo) -> Shot:
 
 def _taken(rope: PhotoRope, look: Photo) -> Shot:
     view = PhotoView(rope.cut(look.cuts, look.squeeze), look)
-    # `region` stamps only what may be legible; a given appearance is shown in any case
-    region = view.region(2 * look.radius)
-    if not region:
-        view.stamp(look.radius)
-    return painted(view, look, region)
+    view.stamp(look.radius)
+    return painted(view, look, view.region(2 * look.radius))
 
 
 def _drawn(
@@ -166,7 +166,7 @@ def _drawn(
         return None
     cuts: tuple[float, ...] = ()
     turn, fill = rng.uniform(-math.pi, math.pi), rng.uniform(*ranges.fill)
-    place, share, (least, most) = rng.uniform(-1.0, 1.0, 2), rng.random(), ranges.widths
+    place, share, (least, most) = rng.uniform(-1.0, 1.0, 2).tolist(), rng.random(), ranges.widths
     widest, room = least + share * (most - least), most
     if ranges.free:
         cuts, marked, unit = _cuts(config, rng), False, rope.size / 256
@@ -178,7 +178,7 @@ def _drawn(
     named: dict[str, Any] = {"look": config.look, "cuts": cuts, "squeeze": squeeze}
     look = _framed(rope, camera, turn, fill, place, room, **named)
     view = PhotoView(rope, look)
-    if len(view.over) > ranges.limits.crossings:
+    if len(view.met) > ranges.limits.crossings:
         return None
     # a rope that is illegible at its narrowest isn't looked at any further
     region = view.region(least)
@@ -191,6 +191,7 @@ def _drawn(
     hidden = view.base_spacing < 1.5 * width
     if marked and hidden:
         return None
+    view.stamp(0.5 * width)
     # from pixels to a factor on the width of the real rope
     width /= 2 * DEFAULT.rope_radius * look.scale
     look = replace(look, width=width, marked=wanted and not hidden)
@@ -224,25 +225,32 @@ def _framed(
     camera: Camera,
     turn: float,
     fill: float,
-    place: Array,
+    place: Sequence[float],
     widest: float,
+    width: float | None = None,
     **more: Any,
 ) -> Photo:
     """Choose zoom and position: the rope fills a share of the picture's side, `place` of the rest.
 
     Args:
         fill: beyond 1 the picture's edge cuts the rope.
-        place: (2,), right and down, from -1 to 1.
+        place: right and down, from -1 to 1.
         widest: the rope may be so wide, px.
+        width: of the rope, px; None for its real one.
         more: other fields of the appearance.
     """
     size, (tilt, heading) = rope.size, camera
-    flat = rope.projected(turn, size / DEFAULT.view)[rope.kept, :2]
-    low, high = flat.min(axis=0), flat.max(axis=0)
+    sides = rope.extent(turn, size / DEFAULT.view)
     # half of the widest rope is beyond its axis on either side, and a pixel is left to the edge
     room = size - widest - 2.0
-    zoom = fill * room / float((high - low).max())
+    zoom = fill * room / max(high - low for low, high in sides)
     # a share of what is left free, and what brings the middle of the drawing to the picture's
-    right, down = 0.5 * (room - zoom * (high - low)) * place - 0.5 * zoom * (low + high)
-    frame: dict[str, Any] = {"zoom": zoom, "right": float(right), "down": float(down)}
+    right, down = (
+        0.5 * (room - zoom * (high - low)) * share - 0.5 * zoom * (low + high)
+        for share, (low, high) in zip(place, sides, strict=True)
+    )
+    if width is not None:
+        # from pixels to a factor on the width of the real rope
+        more["width"] = width / (2 * DEFAULT.rope_radius * (zoom * size / DEFAULT.view))
+    frame: dict[str, Any] = {"zoom": zoom, "right": right, "down": down}
     return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame, **more)

@@ -39,7 +39,9 @@ def _smooth_noise(texture: Array, x: Any, y: Any) -> Any:
 
 
 @kernel
-def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, last: Array) -> None:
+def surface(
+    out: Array, kind: int, texture: Array, axes: Array, first: Array, last: Array, dots: Array
+) -> None:
     """Paint a surface.
 
     Args:
@@ -49,9 +51,12 @@ def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, la
         axes: float32 (2, 3); (x, y, 1) of a pixel is taken to the surface's units: a thread, a ring
             of wood, a spot of noise, the picture's side.
         first, last: float32 (3,), RGB where the pattern is 0 and 1.
+        dots: int64 (m, 2), column and row of the pixels to paint; none for all.
     """
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
+    few, size = len(dots), len(out)
+    for line in range(1 if few else size):
+        for item in range(few or size):
+            column, row = (dots[item, 0], dots[item, 1]) if few else (item, line)
             px, py = _F(column) + _HALF, _F(row) + _HALF
             x = axes[0, 0] * px + axes[0, 1] * py + axes[0, 2]
             y = axes[1, 0] * px + axes[1, 1] * py + axes[1, 2]
@@ -246,7 +251,7 @@ def _woven(weave: int, turn: Any, u: Any, texture: Array) -> Any:
 def compose(
     picture: Array, strands: Array, visits: Array, square: Array, place: Array, curve: Array,
     after: Array, tangent: Array, along: Array, colours: Array, lamp: Array, weave: int,
-    texture: Array, grown: Any, own: int
+    texture: Array, grown: Any, own: int, dots: Array
 ) -> None:  # fmt: skip
     """Paint both layers and their shadows on a surface.
 
@@ -264,8 +269,9 @@ def compose(
         texture: float32 (64, 64), of fibres.
         grown: pieces; an upper piece casts no shadow on places as near along the rope.
         own: number of points of the rope itself; those of others follow.
+        dots: int64 (m, 2), column and row of the pixels to paint, no pixel twice; none for all.
     """
-    size, n, light = len(picture), len(curve), lamp[4:]
+    size, n, light, few = len(picture), len(curve), lamp[4:], len(dots)
     radius, gloss, ambient, dark = lamp[0], lamp[1], lamp[2], lamp[3]
     # the half vector between the light and the eye, which looks down the z axis (Blinn)
     hx, hy, hz = light[0], light[1], light[2] + _ONE
@@ -275,8 +281,9 @@ def compose(
     right, down = int(np.floor(radius * light[0] + _HALF)), int(np.floor(radius * light[1] + _HALF))
     soft, near = _F(0.8) * radius + _ONE, _F(0.7) * radius + _ONE
     colour = np.empty(3, np.float32)
-    for row in range(size):
-        for column in range(size):
+    for line in range(1 if few else size):
+        for item in range(few or size):
+            column, row = (dots[item, 0], dots[item, 1]) if few else (item, line)
             r, c = min(max(row + down, 0), size - 1), min(max(column + right, 0), size - 1)
             nearest = min(square[0, row, column], square[1, row, column])
             if min(nearest, square[0, r, c], square[1, r, c]) == FAR:

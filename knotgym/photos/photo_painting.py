@@ -20,9 +20,20 @@ from numpy.typing import NDArray
 
 from knotgym.common import Ids, Stream
 from knotgym.photos import photo_kernels as kernels
-from knotgym.photos.photo_look import LOOKS, PHONE, SURFACES, WEAVES, Photo, Rng, drawn_dyes
+from knotgym.photos import view_kernels as views
+from knotgym.photos.photo_look import (
+    LOOKS,
+    PHONE,
+    SURFACES,
+    WEAVES,
+    Legibility,
+    Photo,
+    Rng,
+    drawn_dyes,
+)
 from knotgym.rendering import Appearance, Drawn, levels_of, smooth_curve
 from knotgym.topology import (
+    CROSSING,
     Crossings,
     RopesCode,
     Symmetry,
@@ -35,6 +46,7 @@ Array = NDArray[Any]
 
 _TAPE = (200, 30, 36)  # RGB, of the bead before the base
 _EASES = (0.25, 0.1)  # see `smooth_curve`
+ALL = np.empty((0, 2), np.int64)  # pixels, where some may be named
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +81,7 @@ class Shot(Drawn):
     def legible(self) -> bool:
         """Whether a person can decide every crossing."""
         limits = LOOKS[self.look.look].limits
-        shown = self.contrast >= limits.contrast and self.order >= limits.order
-        return self.region > 0 and shown
+        return self.region > 0 and shows(limits, self.contrast, self.order)
 
     @property
     def seen(self) -> Ids:
@@ -115,6 +126,7 @@ class PhotoRope:
         flat = self.points - self.points.mean(axis=0)
         self.curve, self.shown = smooth_curve(flat, self.crossings.code, self.parts, _EASES)
         self.kept = np.ones(len(self.curve), bool)
+        self.table = self.shown.table.copy()  # numba compiles again for read-only arrays
 
     def cut(self, cuts: Sequence[float], squeeze: float) -> "PhotoRope":
         """Squeeze the rope, and take away the pieces between shares of the vertices, two each."""
@@ -126,100 +138,84 @@ class PhotoRope:
             rope.kept[np.arange(round(begin * n), round(end * n)) % n] = False
         return rope
 
-    def projected(self, turn: float, scale: float) -> Array:
-        """Return x and y down in the picture, and height, (n, 3), of the curve."""
-        x, y, z = self.curve.T
-        c, s = math.cos(turn) * scale, math.sin(turn) * scale
-        return np.stack([c * x + s * y, s * x - c * y, scale * z], axis=1)
+    def extent(self, turn: float, scale: float) -> tuple[tuple[float, float], ...]:
+        """Return the least and the largest x, and y down, of what is kept in the picture."""
+        turned = math.cos(turn) * scale, math.sin(turn) * scale
+        found: tuple[tuple[float, float], ...] = views.extent(self.curve, self.kept, *turned)
+        return found
 
 
 class PhotoView:
     """The rope in a picture: its axis in pixels, and the nearest pieces at every pixel.
 
     Attributes:
-        curve: float32 (n, 3), x and y, and height in px.
-        visits: float64 (2 nx,), sorted places of the visits, in pieces.
+        curve, along, walked, seen, met, visits, order, lengths, sines, after, apart: as
+            `view_kernels.trace` finds them; base_spacing is its `base`.
+        places: float64 (nx, 2), of the upper and the lower strand of crossings that are seen.
         square, place: as `photo_kernels.stamp` finds them, after `stamp`.
+        inner, outer: pixels (n, 2), x and y, on the rope, and on the background beside each; after
+            `stamp`.
+        middles, spots: as `view_kernels.crossing_pixels` finds them, after `stamp`.
     """
 
     def __init__(self, rope: PhotoRope, look: Photo) -> None:
-        self.rope, self.size, shown = rope, look.size, rope.shown
+        self.rope, self.size = rope, look.size
         self.unit = max(look.size / 256, 1.0)
-        middle = 0.5 * look.size + np.array([look.right, look.down, -0.5 * look.size])
-        curve = rope.projected(look.turn, look.scale) + middle
-        self.curve = curve.astype(np.float32)
         self.limits, self.free = LOOKS[look.look].limits, look.free
-        index, around = np.arange(len(self.curve)), np.append(np.arange(1, len(self.curve)), 0)
-        self.after = np.where(rope.kept, around, index)
-        flat = self.curve[:, :2]
-        inside = np.all((flat >= 0) & (flat < look.size), axis=1)
-        self.seen = rope.kept & (inside & inside[around] | (not self.free))  # pieces
-        own = np.array([shown.over_place, shown.under_place]).astype(np.int64) % len(index)
-        self.met = np.flatnonzero(self.seen[own].all(axis=0))
-        self.over, self.under = shown.over_place[self.met], shown.under_place[self.met]
-        self.whole, self.runs = bool(self.seen.all()), _runs(self.seen)
-        places = np.concatenate([self.over, self.under])
-        order = np.argsort(places, kind="stable")
-        self.visits, self.goes_over, self.order = places[order], order < len(self.over), order
-        step = flat[around] - flat
-        # around - 2 is the index before, which wraps to the last
-        self.along = step + step[around - 2]  # about twice the direction at each point
-        self.along /= np.sqrt((self.along**2).sum(axis=1))[:, None]
-        walked = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
-        self.walked = walked
-        self.lengths = visits = np.interp(self.visits, np.arange(len(walked)), walked)
-        # lengths between consecutive visits; between the base and the nearest visit
-        self.apart = np.diff(visits, append=visits[:1] + walked[-1]).min(initial=np.inf)
-        self.base_spacing = np.minimum(visits, walked[-1] - visits).min(initial=np.inf)
-        a, b = self.along[np.array([self.over, self.under]).astype(np.int64) % len(flat)]
-        self.sines = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        turned = math.cos(look.turn) * look.scale, math.sin(look.turn) * look.scale
+        placed = look.scale, 0.5 * look.size + look.right, 0.5 * look.size + look.down
+        traced = views.trace(
+            rope.curve, rope.kept, rope.table, (*turned, *placed), look.size, self.free
+        )
+        self.curve, self.along, self.walked, self.seen, self.met, *of_visits = traced
+        self.visits, self.order, self.lengths, self.sines, *measured = of_visits
+        self.after, self.apart, self.base_spacing = measured
+        self.places = rope.table[self.met, : CROSSING.under_place + 1]
+        self.whole = bool(self.seen.all())
+        self.runs = [] if self.whole else _runs(self.seen)
 
     def stamp(self, radius: float) -> None:
-        """Find the nearest pieces of a rope of this radius, px."""
+        """Find the nearest pieces of a rope of this radius, px, and the pixels to measure."""
         self.radius = radius
         self.square = np.full((2, self.size, self.size), kernels.FAR, np.float32)
         self.place = np.empty_like(self.square)
-        flags = kernels.layers(self.visits, self.goes_over, len(self.curve))
+        flags = kernels.layers(self.visits, self.order < len(self.met), len(self.curve))
         kernels.stamp(self.curve, self.after, flags, _reach(radius), self.square, self.place)
+        line = self.curve, self.along
+        self.inner, self.outer = views.beside(*line, self.seen, self.square, radius)
+        found = views.crossing_pixels(*line, self.sines, self.places, radius, self.size)
+        self.middles, self.spots = found
 
     def region(self, width: float) -> float:
-        """Draw a rope of this width, px; return its smallest region, 0 if it isn't legible."""
-        limits, length = self.limits, self.walked[-1]
+        """Return the smallest region beside a rope of this width, px; 0 if it isn't legible."""
+        limits = self.limits
         gap = limits.gap * self.unit
-        # the piece two widths further along
-        further = np.searchsorted(self.walked, (self.walked[:-1] + 2.0 * width) % length) - 1
-        flat = self.curve[:, :2].astype(np.float64)
         if (
             (self.sines < math.sin(math.radians(limits.angle))).any()
             or self.apart < 1.5 * width + gap
-            # a turn by 148 degrees: a fold whose arms touch can't be told from a small kink
-            or ((self.along * self.along[further]).sum(axis=1) < -0.85)[self.seen].any()
-            # strands of one bend or crossing, at most so long, may touch
-            or not self.free
-            and self.rope.shown.strand_spacing(flat, 4.5 * width) < width + gap
-            or self.free
-            and not self._has_room(flat, width, gap)
+            or views.is_folded(self.along, self.walked, self.seen, width)
+            or not (self._has_room(width, gap) if self.free else self._is_apart(width, gap))
         ):
             return 0.0
-        self.stamp(0.5 * width)
-        near = (self.radius + 0.5 * gap) ** 2
-        # with some pixels to spare, so that the outside stays in one piece
-        low = np.maximum(self.curve[:, :2].min(axis=0) - self.radius - 4, 0).astype(int)
-        high = (self.curve[:, :2].max(axis=0) + self.radius + 5).astype(int)
-        square = self.square[:, low[1] : high[1], low[0] : high[0]]
-        free = ((square[0] > near) & (square[1] > near)).view(np.uint8)
-        # label 0 is the rope
-        areas = cv2.connectedComponentsWithStats(free, connectivity=8, ltype=cv2.CV_16U)[2][1:, -1]
+        radius = 0.5 * width
+        near = min((radius + 0.5 * gap) ** 2, _reach(radius) ** 2)
+        count, area, canvas = views.regions(self.curve, self.after, near, radius, self.size)
         # By Euler a closed curve with nx crossings has nx + 2 faces; with fewer, the rope fills
         # one, with more, it cuts one in two. Open ropes have fewer, the parts of a drawing more, of
         # which the frame and the ropes that it cuts are one.
-        faces = len(self.over) + 2
+        faces = len(self.met) + 2
         if not self.whole:
-            framed = np.pad(1 - free, 1, constant_values=1)
+            framed = np.pad(canvas, 1, constant_values=1)
             parts = cv2.connectedComponents(framed, connectivity=4, ltype=cv2.CV_16U)[0] - 1
             faces += parts - 2 + sum(self._leaves(run) for run in self.runs) - len(self.runs)
-        least = float(areas.min(initial=self.size**2)) / self.unit**2
-        return least if len(areas) == faces and least >= limits.region else 0.0
+        least = min(area, float(self.size**2)) / self.unit**2
+        return least if count == faces and least >= limits.region else 0.0
+
+    def _is_apart(self, width: float, gap: float) -> bool:
+        """Return whether a gap is between strands, but for those of one bend or crossing."""
+        most = width + gap
+        apart = views.nearest_strand(self.curve, self.rope.table, 4.5 * width, most)
+        return bool(apart >= most)
 
     def _leaves(self, run: Ids) -> int:
         """Return how many ends of a rope are where the picture's edge cuts it."""
@@ -231,8 +227,9 @@ class PhotoView:
         away = (self.walked[:-1] - self.walked[vertex] + half) % self.walked[-1] - half
         return np.abs(away)
 
-    def _has_room(self, flat: Array, width: float, gap: float) -> bool:
+    def _has_room(self, width: float, gap: float) -> bool:
         """Return whether crossings, ends and the picture's edge leave each other room."""
+        flat = self.curve[:, :2].astype(np.float64)
         # half of the length over which strands of this width lie on each other at a crossing
         half = 0.5 * width * (1 + np.sqrt(1 - self.sines**2)) / self.sines
         halves = np.concatenate([half, half])[self.order]
@@ -260,30 +257,12 @@ class PhotoView:
         grazes = self.rope.kept & (owner < 0) & (beyond < 0.5 * width + gap)
         return bool(self.runs) and not (grazes & (nearest > 2.5 * width)).any()
 
-    def at(self, places: Array) -> Array:
-        """Return x and y (n, 2) of places along the curve."""
-        index = np.floor(places).astype(np.int64)
-        n, part = len(self.curve), (places - index)[:, None]
-        return (1 - part) * self.curve[index % n, :2] + part * self.curve[(index + 1) % n, :2]
-
-    def beside(self) -> tuple[Array, Array]:
-        """Return pixels (n, 2), x and y, on the rope, and on the background beside each."""
-        shown = np.flatnonzero(self.seen)[::2]
-        inner = self.curve[shown, :2]
-        off = (self.radius + 1.5) * self.along[shown, ::-1] * np.array([-1, 1], np.float32)
-        inner, outer = np.concatenate([inner, inner]), np.concatenate([inner - off, inner + off])
-        inner, outer = inner.astype(np.int64), outer.astype(np.int64)
-        x, y = np.clip(outer, 0, self.size - 1).T
-        free = self.square[:, y, x].min(axis=0) > (self.radius + 1) ** 2
-        free &= (x == outer[:, 0]) & (y == outer[:, 1])
-        return inner[free], outer[free]
-
     def coloured(self, look: Photo, ground: Array, rng: Rng) -> Photo:
         """Choose the first of 24 colours that stands out from the ground, or the best.
 
         Beside the rope, the ground is in the light on one side, in the rope's shadow on the other.
         """
-        x, y = self.beside()[1][::3].T
+        x, y = self.outer[::3].T
         dyes = drawn_dyes(rng, 24)
         # Less than shading leaves of a dye on average (of 80 photos: 0.81 with the grooves of a
         # twist, else 0.92), so that what fits here nearly always fits in the picture: 110 of 129
@@ -317,8 +296,8 @@ def _reach(radius: float) -> float:
     return 1.8 * radius + 1.5
 
 
-def ground_of(look: Photo) -> tuple[Array, Array, Rng]:
-    """Paint the surface with its clutter.
+def ground_of(look: Photo, dots: Ids = ALL) -> tuple[Array, Array, Rng]:
+    """Paint the surface with its clutter, or some pixels of it.
 
     Returns:
         The picture, the random texture of all patterns, and what draws all else in the photo.
@@ -341,7 +320,7 @@ def ground_of(look: Photo) -> tuple[Array, Array, Rng]:
     ends = [np.array(one, np.float32) for one in (look.background, look.ground)]
     kind = SURFACES.index(look.surface)
     placed = np.column_stack([axes, start]).astype(np.float32)
-    kernels.surface(picture, kind, texture, placed, *ends)
+    kernels.surface(picture, kind, texture, placed, *ends, dots if small == look.size else ALL)
     if small < look.size:
         picture = np.asarray(cv2.resize(picture, (look.size, look.size)))
     if look.clutter:
@@ -373,9 +352,7 @@ def _lay(
     return hidden
 
 
-def painted(
-    view: PhotoView, look: Photo, region: float, rng: Rng | None = None, *, exposed: bool = True
-) -> Shot:
+def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None) -> Shot:
     """Paint the rope and what lies beside and on it on the ground, and measure the picture.
 
     Args:
@@ -384,16 +361,50 @@ def painted(
         region: as `PhotoView.region` measured it.
         rng: draws the rope's colours, and a picture that can't be read is not exposed; None to
             leave those of the appearance.
-        exposed: whether to add what lamp and camera do.
     """
-    rope, (picture, texture, grain), beside = view.rope, ground_of(look), view.beside()
+    rope, (picture, texture, grain) = view.rope, ground_of(look)
     if rng is not None:
         look = view.coloured(look, picture, rng)
+    strands = _compose(view, look, picture, texture, grain)
+    if look.occluders:
+        # what is covered is visible no more
+        strands[_occlude(view, look, picture, grain) > 0] = 0
+    if look.blur > 0.2:
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), look.blur))
+    contrast, order = _contrasts(view, picture)
+    line = view.curve[:: rope.parts].copy()
+    line[:, 2] = rope.curve[:: rope.parts, 2]
+    ropes = [view.curve[run] for run in view.runs]
+    answers = view.middles, rope.points, rope.crossings, line, strands, ropes, view.met
+    if rng is None or shows(view.limits, contrast, order):
+        picture = _exposed(picture, look)
+    return Shot(picture, look, *answers, contrast, order, region)
+
+
+def is_clear(view: PhotoView, look: Photo) -> bool:
+    """Whether an appearance without clutter shows a rope, which is stamped, with its order."""
+    # only the pixels that are measured are painted
+    pixels = np.concatenate([view.inner, view.outer, view.spots.reshape(-1, 2)])
+    dots = views.distinct(pixels, view.size)
+    picture, texture, grain = ground_of(look, dots)
+    _compose(view, look, picture, texture, grain, dots)
+    return shows(view.limits, *_contrasts(view, picture))
+
+
+def shows(limits: Legibility, contrast: float, order: float) -> bool:
+    """Whether rope and background, and the strands at crossings, differ enough."""
+    return contrast >= limits.contrast and order >= limits.order
+
+
+def _compose(
+    view: PhotoView, look: Photo, picture: Array, texture: Array, rng: Rng, dots: Ids = ALL
+) -> Array:
+    """Paint the rope on a picture, or on some pixels; return the strands that are visible."""
     n, strands = len(view.curve), np.zeros(picture.shape[:2], np.uint8)
     colours = np.empty((n, 2, 3), np.float32)
     colours[:, 0], colours[:, 1] = look.first, look.last
     if look.marked:
-        colours[: rope.parts], colours[-rope.parts :] = 240, _TAPE
+        colours[: view.rope.parts], colours[-view.rope.parts :] = 240, _TAPE
     for k, run in enumerate(view.runs if look.mixed else ()):
         colours[run] = np.roll(colours[run[0]], k, axis=-1)
     # whipping, or the tape that joins a closed rope
@@ -402,34 +413,18 @@ def painted(
         colours[view.away(tip) < look.whipping * 2 * view.radius] = 255 - 0.9 * colours[tip, 0]
     curve, after = view.curve, view.after
     if look.others:
-        curve, after, colours = _with_others(view, look, colours, grain)
-    step = curve[after] - curve
-    length = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
+        curve, after, colours = _with_others(view, look, colours, rng)
+    tangent, length = views.shape(curve, after)
     weave = WEAVES.index(look.weave) if look.weave else int(look.twisted)
     turns = max(round(length[n] / (2 * look.pitch * view.radius)), 1)  # whole, to have no seam
-    tangent = step.copy()
-    np.add.at(tangent, after, step)
-    tangent /= np.maximum(np.sqrt((tangent**2).sum(axis=1)), 1e-6)[:, None]
     grown = 3.0 * view.radius * n / length[n]
     lamp = view.radius, look.gloss, look.ambient, look.shadow, *look.light
     kernels.compose(
         picture, strands, view.visits, view.square, view.place, curve, after,
-        tangent.astype(np.float32), (length * turns / length[n]).astype(np.float32), colours,
-        np.array(lamp, np.float32), weave, texture, grown, n
+        tangent, (length * turns / length[n]).astype(np.float32), colours,
+        np.array(lamp, np.float32), weave, texture, grown, n, dots
     )  # fmt: skip
-    if look.occluders:
-        # what is covered is visible no more
-        strands[_occlude(view, look, picture, grain) > 0] = 0
-    if look.blur > 0.2:
-        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), look.blur))
-    contrast, order = _contrasts(view, picture, *beside)
-    line = view.curve[:: rope.parts].copy()
-    line[:, 2] = rope.curve[:: rope.parts, 2]
-    ropes = [view.curve[run] for run in view.runs]
-    answers = view.at(view.over), rope.points, rope.crossings, line, strands, ropes, view.met
-    shot = Shot(picture, look, *answers, contrast, order, region)
-    seen = exposed and (rng is None or shot.legible)
-    return replace(shot, image=_exposed(picture, look)) if seen else shot
+    return strands
 
 
 def _exposed(picture: Array, look: Photo) -> Array:
@@ -503,23 +498,17 @@ def _occlude(view: PhotoView, look: Photo, picture: Array, rng: Rng) -> Array:
     return _lay(picture, look, flat[ks].astype(np.float64), reaches, colours, rng)
 
 
-def _contrasts(view: PhotoView, shown: Array, inner: Array, outer: Array) -> tuple[float, float]:
+def _contrasts(view: PhotoView, shown: Array) -> tuple[float, float]:
     """Measure contrast and order of a picture without noise; see `Legibility`."""
-    rope, behind = (_lab(shown[at[:, 1], at[:, 0]]) for at in (inner, outer))
+    m, pixels = len(view.inner), (view.inner, view.outer, view.spots.reshape(-1, 2))
+    x, y = np.concatenate(pixels).T
+    seen = _lab(shown[y, x])
+    rope, behind, seen = seen[:m], seen[m : 2 * m], seen[2 * m :].reshape(9, -1, 3)
     # averaged along the rope, so that a twist's grooves don't count as its colour
     rope = cv2.blur(rope, (1, 5))
     contrast = float(_low_of(_lengths(rope - behind)))
-    if not len(view.over):
+    if not len(view.met):
         return contrast, math.inf
-    middle = view.at(view.over)
-    pieces = np.array([view.over, view.under]).astype(np.int64) % len(view.curve)
-    along, across = view.along[pieces]
-    sine = view.sines[:, None]
-    spots = [middle + share * view.radius * along for share in (-0.5, 0.0, 0.5)]
-    for side in (-1, 1):  # the under strand disappears on both sides
-        spots += [middle + side * (view.radius + off) / sine * across for off in (0.4, 1.0, 1.6)]
-    x, y = np.clip(np.concatenate(spots), 0, view.size - 1).astype(np.int64).T
-    seen = _lab(shown[y, x]).reshape(9, -1, 3)
     apart = _lengths(seen[3:] - seen[:3].mean(axis=0)).reshape(2, 3, -1)
     return contrast, float(apart.max(axis=1).min())
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from knotgym.common import Array, Ids, Stream, inner, kernel
 from knotgym.quality.limits import Quality
-from knotgym.rendering import PictureConfig
+from knotgym.rendering import PictureConfig, count_regions
 from knotgym.rope import Rope
 from knotgym.topology import (
     CROSSING,
@@ -171,7 +171,7 @@ def _measure_rows(
                 apart = min(apart, np.sqrt(x * x + y * y))
         measured[0], measured[1] = angle, apart
         measured[2] = min(size, _base_spacing(along, places, at, 0))
-        measured[3] = min(size, strand_spacing(pixels, along, at, WALK))
+        measured[3] = strand_spacing(pixels, along, at, WALK, size)
         count, least = _regions(pixels, 2 * scale * thick)
         measured[4] = least if count == len(found) + 2 else 0.0
         measured[5] = _smallest_face(pixels, visits[2 * first : 2 * last], places, found)
@@ -340,7 +340,8 @@ def _regions(pixels: Array, width: float) -> tuple[int, float]:
     for i in range(beads):
         _band(canvas, dots[i - 1], dots[i], thick)
         _disc(canvas, _dot(dots[i, 0]), _dot(dots[i, 1]), (thick + 1) // 2)
-    return _counted(canvas)
+    count, least = count_regions(canvas)
+    return count, least / _FINE**2
 
 
 @inner
@@ -433,52 +434,6 @@ def _disc(canvas: Array, x: int, y: int, radius: int) -> None:
         if error > 0:
             error -= 2 * dx - 1
             dx -= 1
-
-
-@inner
-def _counted(canvas: Array) -> tuple[int, float]:
-    """Count the regions of 0, connected by sides and corners; return the least area, pixels."""
-    rows, columns = canvas.shape
-    most = columns // 2 + 1  # runs of a row
-    runs = np.empty((2, most, 3), np.int64)  # begin, end and number: of the last row and of this
-    # a run's region: that of its leader, whose own is itself
-    leaders, dots, count, above = np.empty(rows * most, np.int64), np.empty(rows * most), 0, 0
-    for row in range(rows):
-        before, here, found, column, reached = runs[row % 2], runs[1 - row % 2], 0, 0, 0
-        while column < columns:
-            if canvas[row, column]:
-                column += 1
-                continue
-            begin = column
-            while column < columns and not canvas[row, column]:
-                column += 1
-            run = here[found]
-            run[0], run[1], run[2] = begin, column, count
-            leaders[count], dots[count] = count, column - begin
-            while reached < above and before[reached, 1] < begin:
-                reached += 1
-            k = reached
-            while k < above and before[k, 0] <= column:
-                one, other = _leader(leaders, before[k, 2]), _leader(leaders, count)
-                if one != other:
-                    leaders[other] = one
-                    dots[one] += dots[other]
-                k += 1
-            count, found = count + 1, found + 1
-        above = found
-    regions, least = 0, np.inf
-    for k in range(count):
-        if leaders[k] == k:
-            regions, least = regions + 1, min(least, dots[k])
-    return regions, least / _FINE**2
-
-
-@inner
-def _leader(leaders: Ids, run: int) -> int:
-    while leaders[run] != run:
-        leaders[run] = leaders[leaders[run]]
-        run = leaders[run]
-    return run
 
 
 @inner

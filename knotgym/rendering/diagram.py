@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, MissingExtra, atomic_write
+from knotgym.common import InvalidInput, MissingExtra, atomic_write, kernel
 from knotgym.rendering.camera import (
     RGB,
     PictureConfig,
@@ -135,23 +135,42 @@ def smooth_curve(
     Returns:
         float64 (beads parts, 3), and its crossings.
     """
-    n, t = len(rope), (np.arange(parts) / parts)[:, None]
-    before, after = np.arange(-1, n - 1), np.append(np.arange(1, n), 0)
     for ease, bent in (*((ease, 1.0) for ease in eases), (0.0, 1.0), (0.0, 0.0)):
-        here = rope
-        for _ in range(2 if ease else 0):
-            here = here + ease * (here[before] + here[after] - 2 * here)
-        step = here[after] - here
-        slope = step - 0.5 * bent * (step - step[before])
-        end = step + bent * (slope[after] - step)
-        # the cubic through here and the next vertex, with these slopes at its ends
-        square, cube = 3 * step - 2 * slope - end, slope + end - 2 * step
-        terms = [one[:, None] for one in (here, slope, square, cube)]
-        curve = (terms[0] + t * (terms[1] + t * (terms[2] + t * terms[3]))).reshape(-1, 3)
+        curve = _spline(np.array(rope, np.float64, order="C"), parts, ease, bent)
         crossings = find_crossings(curve)
         if crossings.code == code:
             break
     return curve, crossings
+
+
+@kernel
+def _spline(here: Array, parts: int, ease: float, bent: float) -> Array:
+    """Return the curve of one of `smooth_curve`'s tries; it is straight between beads if not bent.
+
+    Args:
+        here: float64 (n, 3); changed.
+    """
+    n, curve = len(here), np.empty((len(here) * parts, 3))
+    eased, slope = np.empty(n), np.empty(n)
+    for axis in range(3):
+        p = here[:, axis]  # i - 1 is before i, and i + 1 - n after it, as negative indices wrap
+        for _ in range(2 if ease else 0):
+            for i in range(n):
+                eased[i] = p[i] + ease * (p[i - 1] + p[i + 1 - n] - 2 * p[i])
+            for i in range(n):
+                p[i] = eased[i]
+        for i in range(n):
+            step = p[i + 1 - n] - p[i]
+            slope[i] = step - 0.5 * bent * (step - (p[i] - p[i - 1]))
+        for i in range(n):
+            step = p[i + 1 - n] - p[i]
+            end = step + bent * (slope[i + 1 - n] - step)
+            # the cubic through here and the next vertex, with these slopes at its ends
+            square, cube = 3 * step - 2 * slope[i] - end, slope[i] + end - 2 * step
+            for k in range(parts):
+                t = k / parts
+                curve[i * parts + k, axis] = p[i] + t * (slope[i] + t * (square + t * cube))
+    return curve
 
 
 def _paint(

@@ -21,7 +21,6 @@ from .knots import UNKNOWN as UNKNOWN
 from .knots import Knot as Knot
 from .knots import codes_of as codes_of
 from .knots import knot_type as knot_type
-from .knots import possible_types as possible_types
 from .notation import dt_text as dt_text
 from .notation import parse_codes as parse_codes
 from .notation import parse_ropes as parse_ropes

@@ -120,16 +120,6 @@ class Crossings(_Table):
         found: list[str] = _texts_after(self.code.plain)[tuple(map(np.int64, each))].tolist()
         return found
 
-    def strand_spacing(self, pixels: Array, walk: float) -> float:
-        """Return the smallest distance in the picture, pixels, of vertices on different strands.
-
-        Args:
-            pixels: float64 (beads, 2), contiguous; the vertices in a picture from above.
-            walk: pixels, see the function of that name.
-        """
-        along, _, at = visited(pixels, self.table.copy())  # numba compiles again for read-only ones
-        return float(strand_spacing(pixels, along, at, walk))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RopesCrossings(_Table):
@@ -431,7 +421,7 @@ def visited(pixels: Array, table: Array) -> tuple[Array, Array, Array]:
 
 
 @kernel
-def strand_spacing(pixels: Array, along: Array, at: Array, walk: float) -> float:
+def strand_spacing(pixels: Array, along: Array, at: Array, walk: float, most: float) -> float:
     """Return the smallest distance in the picture, pixels, of vertices on different strands.
 
     Two vertices are on different strands if every path between them along the drawing, straight on
@@ -442,19 +432,29 @@ def strand_spacing(pixels: Array, along: Array, at: Array, walk: float) -> float
         pixels: float64 (beads, 2), contiguous; the vertices in a picture from above.
         along, at: as `visited` returns them.
         walk: pixels.
+        most: pixels; returned if no distance is smaller.
     """
     beads, visits, total = len(pixels), len(at), along[-1]
-    between, nearest, turning = _paths(at, total), np.inf, np.empty(visits)
+    between, nearest, turning = _paths(at, total), most, np.empty(visits)
+    longest = 0.0
+    for i in range(beads):
+        longest = max(longest, along[i + 1] - along[i])
+    # the margin is far more than the sums are rounded by
+    steps = 1 / (longest * (1 + 1e-6))
     # from cheap to expensive: along the rope, in the picture, then through any crossing
     for i in range(beads):
-        known = False
-        for j in range(i + 1, beads):
+        known, after = False, i + 1
+        while after < beads:
+            j = after
+            after += 1
             gap = _shorter(along[j] - along[i], total)
             if gap <= walk:
                 continue
             dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
             apart = np.sqrt(dx * dx + dy * dy)
             if apart >= nearest:
+                # no vertex comes nearer by more than the longest edge than the one before it
+                after = j + max(1, int((apart - nearest) * steps))
                 continue
             # a path that turns at crossings reaches j straight from the last of them, so those
             # with turns are needed from i alone

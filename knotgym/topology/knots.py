@@ -98,15 +98,6 @@ def knot_type(code: GaussCode) -> str:
     return _composite_type(names)
 
 
-def possible_types(code: GaussCode) -> list[str]:
-    """List the types that a prime diagram of unknown type may have; empty if nothing is known.
-
-    Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
-    """
-    parts = summands(simplify(code))
-    return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
-
-
 class Knot(NamedTuple):
     """A knot of the table, its mirror image, or a sum of such.
 
@@ -118,6 +109,15 @@ class Knot(NamedTuple):
     """
 
     name: str
+
+    @staticmethod
+    def possible(code: GaussCode) -> list[str]:
+        """List the types that a prime diagram of unknown type may have; empty if nothing is known.
+
+        Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
+        """
+        parts = summands(simplify(code))
+        return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
 
     @property
     def type(self) -> str:

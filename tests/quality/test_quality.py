@@ -15,7 +15,7 @@ from knotgym.quality.measures import base_spacing, noise_survival
 from knotgym.rendering import PictureConfig, project
 from knotgym.rope import Rope
 from knotgym.states import read_states, shipped
-from knotgym.topology import Symmetry, find_crossings
+from knotgym.topology import Symmetry, find_crossings, strand_spacing, visited
 
 from ..conftest import curled
 
@@ -159,8 +159,11 @@ def test_states_that_ship_are_legible_and_have_the_measures_stored_with_them() -
 @pytest.mark.parametrize("walk", [measures.WALK, 40.0])
 def test_strands_differ_where_every_path_over_the_picture_is_long(row: int, walk: float) -> None:
     points = np.roll(SHIPPED.points[row], 30, axis=0)  # short paths lead over the base too
-    found = find_crossings(points).strand_spacing(points[:, :2] / PIXEL, walk)
+    pixels = points[:, :2] / PIXEL
+    along, _, at = visited(pixels, find_crossings(points).table)
+    found = strand_spacing(pixels, along, at, walk, 500.0)
     assert found == pytest.approx(spacing_by_graph(points, walk), rel=1e-9)
+    assert strand_spacing(pixels, along, at, walk, 0.5 * found) == 0.5 * found
 
 
 def test_the_excess_crossing_number_compares_with_the_average_over_all_views() -> None:
