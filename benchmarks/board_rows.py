@@ -73,7 +73,7 @@ class Row(NamedTuple):
     @property
     def who(self) -> tuple[str, ...]:
         """Whose row it is, in any cell; several seeds of one are averaged."""
-        family = re.sub(r"^[a-z]+-nx\d-", "", self.source)
+        family = re.sub(r"^[a-z]+-nx\d(-\d)?-", "", self.source)
         return family, self.learner, self.tier, self.action
 
     @property

@@ -40,17 +40,28 @@ SETUPS, BENCH_ENGINE = list(product(SUITE["tasks"], SUITE["nx"])), SUITE["bench"
 _OUTCOMES = ("start", "goal", "success")
 CLONERS = ("BC", "DiscreteBC", "GCBC", "NextBC", "d3rlpy recipe", "torch recipe")
 # entries that the project's own scripts made, of which README's table is
-OURS = re.compile(r"random|random-macro|expert|matching|recipe-\w+|((tie|convert)-nx\d-[-\w]+)")
-# rows of README's table: how they are called, what they see, and whose they may be
+OURS = re.compile(r"random|random-macro|expert|matching(-pixels)?|recipe-\w+|[a-z]+-nx\d[-\w]+")
+# rows of README's table: how they are called, what they see, their protocol, and whose they may be
 Fits = Callable[[str, str], bool]
-SHOWN: tuple[tuple[str, str, Fits], ...] = (
-    ("random pulls", "nothing", lambda name, tier: name == "random"),
-    ("random macro-actions", "nothing", lambda name, tier: name == "random macro-actions"),
-    ("`matching`, follows a shape", "vertices", lambda name, tier: name == "matching"),
-    ("cloning:", "its code", lambda name, tier: name in CLONERS),
-    ("best of demonstrations (`noisy`):", "its code", lambda name, tier: "noisy" in tier),
-    ("best of random macro-actions (`wander`):", "its code", lambda name, tier: "wander" in tier),
-    ("`expert`, plans in the simulator", "its code", lambda name, tier: name == "expert"),
+SHOWN: tuple[tuple[str, str, str, Fits], ...] = (
+    ("random pulls", "nothing", "code", lambda name, tier: name == "random"),
+    ("random macro-actions", "nothing", "code", lambda name, tier: name == "random macro-actions"),
+    (
+        "`matching`, follows a shape",
+        "vertices",
+        "goal-state",
+        lambda name, tier: name == "matching",
+    ),
+    ("cloning:", "vertices", "goal-state", lambda name, tier: name in CLONERS),
+    ("cloning:", "its code", "code", lambda name, tier: name in CLONERS),
+    ("best of demonstrations (`noisy`):", "its code", "code", lambda name, tier: "noisy" in tier),
+    (
+        "best of random macro-actions (`wander`):",
+        "its code",
+        "code",
+        lambda name, tier: "wander" in tier,
+    ),
+    ("`expert`, plans in the simulator", "its code", "code", lambda name, tier: name == "expert"),
 )
 MOST = 16  # states named of each cell
 SEVERAL = 3  # seeds that are compared, at least
@@ -112,6 +123,8 @@ def grid(rows: Sequence[Row]) -> dict[str, dict[str, Floats]]:
     """Success rates (seeds,) of learners with several seeds, by the entries' name and learner."""
     found: dict[str, dict[str, Floats]] = {}
     for row in rows:
+        if "code" not in row.protocols:
+            continue
         own = found.setdefault(row.source, {})
         own[row.learner] = np.append(own.get(row.learner, ()), row.rate)
     return {
@@ -273,12 +286,13 @@ def readme(text_: str, rows: Sequence[Row]) -> str:
     """README with its table: who doesn't learn, the best of each kind, and the expert."""
     cells = [(BENCH_ENGINE, task, nx) for task, nx in product(("tie", "convert"), (2, 3))]
     shown = []
-    for says, sees, fits in SHOWN:
+    for says, sees, protocol, fits in SHOWN:
         line: list[str] = []
         for cell in cells:
             whose: dict[tuple[str, ...], list[float]] = {}
             for row in rows:
-                if row.cell == cell and OURS.fullmatch(row.source) and fits(row.learner, row.tier):
+                mine = row.cell == cell and OURS.fullmatch(row.source) and protocol in row.protocols
+                if mine and fits(row.learner, row.tier):
                     whose.setdefault(row.who, []).append(100 * row.rate)
             means = sorted((float(np.mean(own)), who[1]) for who, own in whose.items())
             rate, name = means[-1] if means else (0.0, "")

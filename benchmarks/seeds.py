@@ -11,8 +11,8 @@ can be stopped and run again. It needs torch, and the sets:
 `benchmarks/results.py` makes the page.
 
 --updates plays train starts instead, after each number of updates in TRIED, seed 0. By these rates
-a cell's number was chosen before anything played test: the smallest that doubled brings no learner
-a gain whose interval excludes 0.
+numbers were chosen before anything played test: the smallest from which on no doubling brought a
+gain whose interval excludes 0. At tie 3 none did.
 """
 
 import os
@@ -26,6 +26,8 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).parents[1]
 WIDTH, TRIED = 128, (600, 1200, 2400, 4800)  # batches of 128, AdamW at 1e-3
 LEARNERS = ("BC", "GCBC", "NextBC", "Flow", "GCIVL", "IQL", "TD3BC", "CRL")
+SHORT, LONG = (dict.fromkeys(LEARNERS, count) for count in TRIED[:2])
+LONGER = LONG | {"BC": 2400, "IQL": 2400, "TD3BC": 600, "GCIVL": 4800, "CRL": 4800}
 ACTIONS = {"noisy": "decision", "wander": "macro"}
 
 
@@ -37,7 +39,7 @@ class Cell(NamedTuple):
     tier: str
     size: str
     seeds: int
-    updates: int
+    updates: dict[str, int]
     protocol: str = "code"
     learners: tuple[str, ...] = LEARNERS
 
@@ -52,22 +54,22 @@ class Cell(NamedTuple):
 
 
 ALL = (
-    Cell("tie", 2, "wander", "100k", 5, 1200),
-    Cell("tie", 2, "noisy", "100k", 5, 600),
-    Cell("tie", 3, "wander", "100k", 5, 600),
-    Cell("tie", 3, "noisy", "10k", 5, 600),
-    Cell("convert", 2, "wander", "100k", 3, 600),
-    Cell("convert", 2, "noisy", "10k", 3, 600),
-    Cell("convert", 3, "wander", "100k", 3, 600),
-    Cell("convert", 3, "noisy", "10k", 3, 600),
-    Cell("tie", 2, "noisy", "100k", 5, 600, "goal-state", ("BC", "GCBC")),
-    Cell("tie", 3, "noisy", "10k", 5, 600, "goal-state", ("BC", "GCBC")),
+    Cell("tie", 2, "wander", "100k", 5, LONG),
+    Cell("tie", 2, "noisy", "100k", 5, LONGER),
+    Cell("tie", 3, "wander", "100k", 5, SHORT),
+    Cell("tie", 3, "noisy", "10k", 5, SHORT),
+    Cell("convert", 2, "wander", "100k", 3, SHORT),
+    Cell("convert", 2, "noisy", "10k", 3, SHORT),
+    Cell("convert", 3, "wander", "100k", 3, SHORT),
+    Cell("convert", 3, "noisy", "10k", 3, SHORT),
+    Cell("tie", 2, "noisy", "100k", 5, LONGER, "goal-state", ("BC", "GCBC")),
+    Cell("tie", 3, "noisy", "10k", 5, SHORT, "goal-state", ("BC", "GCBC")),
 )
 CELLS = {cell.name: cell for cell in ALL}
 
 
 def train(
-    cell: Cell, seed: int, count: int, out: dict[str, Path], loaded: dict[str, Any]
+    cell: Cell, seed: int, updates: dict[str, int], out: dict[str, Path], loaded: dict[str, Any]
 ) -> list[str]:
     """Train those learners of a cell whose files `out` aren't there; return words that name all."""
     import offline_torch  # here, as --help needs no torch
@@ -79,7 +81,7 @@ def train(
         if not file.with_suffix(".py").exists():
             file.parent.mkdir(exist_ok=True)
             given = Namespace(learner=learner, datasets=[cell.data], seed=seed, width=WIDTH)
-            vars(given).update(views, updates=count, out=file)
+            vars(given).update(views, updates=updates[learner], out=file)
             offline_torch.make(given, loaded)
     return [word for file in out.values() for word in ("--policy", f"{file.stem}:act")]
 
@@ -106,7 +108,7 @@ def updates(cell: Cell, loaded: dict[str, Any]) -> None:
     folder, acting = Path(f"{cell.name}-updates"), []
     for count in TRIED:
         out = {learner: folder / f"{learner}{count}.pt" for learner in cell.learners}
-        acting += train(cell, 0, count, out, loaded)
+        acting += train(cell, 0, dict.fromkeys(LEARNERS, count), out, loaded)
     acting += ["--states", "bench", "--engine", "chain", "--split", "train"]
     evaluate(cell, folder, [*acting, "--out", "scores.json"])
 
