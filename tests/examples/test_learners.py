@@ -8,12 +8,14 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pytest_types import Patch
 from synthetic_episodes import TINY
 
 from knotgym.control import PassValues
 from knotgym.datasets import MinariMetadata, open_episodes, publish
+from knotgym.loaders import arrays
 
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym
@@ -87,6 +89,42 @@ def test_a_learner_in_torch_trains_and_plays(
     check_plays(out.stem, monkeypatch)
 
 
+@pytest.mark.parametrize("more", [(), ("--observation", "state")], ids=["code", "vertices"])
+def test_a_learner_sees_the_goal_as_it_is_told(
+    more: tuple[str, ...], room: Path, monkeypatch: Patch
+) -> None:
+    pytest.importorskip("torch")
+    out = room / "sees.pt"
+    words = ("BC", ID, *more, "--updates", 2, "--width", 8, "--out", out)
+    run_script(FOLDER / "offline_torch.py", *words)
+    check_plays(out.stem, monkeypatch)
+
+
+def test_a_graph_of_codes_without_paths_is_its_network(room: Path, monkeypatch: Patch) -> None:
+    """Mapping a rope to its frame and back changes no action; codes on the way do."""
+    pytest.importorskip("torch")
+    words = ("NextBC", ID, "--action", "macro", "--updates", 2, "--width", 8, "--out", "near.pt")
+    run_script(FOLDER / "offline_torch.py", *words)
+    monkeypatch.syspath_prepend(FOLDER)
+    run_script(FOLDER / "code_graph.py", "near.pt", ID, "--out", "far.json")
+    check_plays("far", monkeypatch)
+    graph = json.loads(Path("far.json").read_text())
+    assert graph[""] and all(count > 0 for count in graph[""].values())
+    seen = arrays(ID, observation="marked", action="macro", frame="canonical")["observations"]
+    near, far = sys.modules["near"], sys.modules["far"]
+    led = far.act.actions(seen)
+    Path("far.json").write_text("{}")
+    alone = far.policy_of("far.json", near.predict).actions(seen)
+    np.testing.assert_array_equal(alone, near.act.actions(seen))
+    assert (led != alone).any()
+
+
+def test_a_cloner_of_pictures_trains_and_plays(room: Path, monkeypatch: Patch) -> None:
+    pytest.importorskip("torch")
+    run_script(FOLDER / "pictures_torch.py", ID, "--updates", 2, "--out", "seen.pt")
+    check_plays("seen", monkeypatch)
+
+
 def test_values_of_diagrams_need_no_table_that_ships(room: Path, monkeypatch: Patch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("reads a table that ships")
@@ -100,8 +138,6 @@ def test_values_of_diagrams_need_no_table_that_ships(room: Path, monkeypatch: Pa
 def test_an_onnx_session_and_a_torch_module_act(room: Path) -> None:
     torch, runtime = pytest.importorskip("torch"), pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    import numpy as np
-
     from knotgym.loaders import as_policy
 
     network = torch.nn.Sequential(torch.nn.Linear(609, 43), torch.nn.Tanh())
