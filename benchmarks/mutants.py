@@ -4,14 +4,17 @@
 
 A mutant differs from the code in one place, drawn from the seed: a comparison turned round or by
 its edge, + for -, * for /, `and` for `or`, a condition denied, a whole number one more. It is
-killed if a test fails, or if the tests take --limit seconds. Each runs in a copy of the checkout;
-first the test file named as the module, if there is one, then the others of the room. Survivors
-are listed: each is a test that is missing, or code that means the same.
+killed if a test fails, or if the tests take --limit CPU seconds. Each runs in a copy of the
+checkout; first the test file named as the module, if there is one, then the others of the room.
+Survivors are listed: each is a test that is missing, or code that means the same. With --out each
+mutant is written down at once; the same command goes on where it was stopped, and a larger --count
+adds more.
 """
 
 import ast
 import copy
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -75,29 +78,32 @@ def changes(node: ast.AST) -> Iterator[Callable[[Any], None]]:
         yield count_on
 
 
-def mutants(path: Path) -> list[tuple[int, str]]:
-    """Return the mutants of a file: line, and text of the whole file."""
+def mutants(path: Path) -> list[Callable[[], tuple[int, str]]]:
+    """Return the mutants of a file: what gives a line, and the text of the whole file."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    found = []
-    for place, node in enumerate(ast.walk(tree)):
-        for change in changes(node):
-            other = copy.deepcopy(tree)
-            own: Any = next(one for k, one in enumerate(ast.walk(other)) if k == place)
-            change(own)
-            text = ast.unparse(ast.fix_missing_locations(other))
-            found.append((getattr(node, "lineno", 0), text))
-    return found
+
+    def mutant(place: int, change: Callable[[Any], None]) -> tuple[int, str]:
+        other = copy.deepcopy(tree)
+        own: Any = next(one for k, one in enumerate(ast.walk(other)) if k == place)
+        change(own)
+        return own.lineno, ast.unparse(ast.fix_missing_locations(other))
+
+    nodes = enumerate(ast.walk(tree))
+    return [partial(mutant, place, change) for place, node in nodes for change in changes(node)]
 
 
-def is_killed(copied: Path, module: Path, limit: float) -> bool:
+def is_killed(copied: Path, module: Path, limit: int) -> bool:
     """Return whether a test of a module's room fails in a copy of the checkout."""
     room = Path("tests", *module.parts[1:-1])
     own = [path for path in copied.glob("tests/**/test_*.py") if path.stem == f"test_{module.stem}"]
     for words in ([str(one) for one in own], [str(room)]):
         if words and (copied / words[0]).exists():
             run = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *words]
-            try:
-                if subprocess.run(run, cwd=copied, capture_output=True, timeout=limit).returncode:
+            own_limit = partial(resource.setrlimit, resource.RLIMIT_CPU, (limit, limit))
+            try:  # what waits for ever takes no CPU time
+                if subprocess.run(
+                    run, cwd=copied, capture_output=True, timeout=20 * limit, preexec_fn=own_limit
+                ).returncode:
                     return True
             except subprocess.TimeoutExpired:
                 return True
@@ -109,10 +115,11 @@ def main() -> None:
     parser.add_argument("rooms", nargs="+", help="rooms of the package, such as topology")
     parser.add_argument("--count", type=int, default=100, help="mutants, as many of each room")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--limit", type=float, default=600, help="seconds of a run of the tests")
+    parser.add_argument("--limit", type=int, default=300, help="CPU seconds of a run of the tests")
     parser.add_argument("--out", type=Path, help="where to write the result as JSON")
     asked, result = parser.parse_args(), dict[str, Any]()
-    rng = np.random.default_rng(asked.seed)
+    if asked.out and asked.out.exists():
+        result = json.loads(asked.out.read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as name:
         copied = Path(name, "checkout")
         unwanted = shutil.ignore_patterns(".*", "__pycache__", "build", "knotgym-data")
@@ -120,24 +127,27 @@ def main() -> None:
         for room in asked.rooms:
             files = sorted((ROOT / "knotgym" / room).rglob("*.py"))
             sizes = np.array([path.stat().st_size for path in files], dtype=float)
-            survivors, killed = list[str](), 0
-            for _ in range(-(-asked.count // len(asked.rooms))):
-                found = list[tuple[int, str]]()
+            rng = np.random.default_rng([asked.seed, *room.encode()])
+            own = result.setdefault(room, {"killed": 0, "survivors": []})
+            before = own["killed"] + len(own["survivors"])
+            for number in range(-(-asked.count // len(asked.rooms))):
+                found = list[Callable[[], tuple[int, str]]]()
                 while not found:
                     path = files[rng.choice(len(files), p=sizes / sizes.sum())]
                     found = mutants(path)
-                line, text = found[rng.integers(len(found))]
-                module = path.relative_to(ROOT)
+                module, chosen = path.relative_to(ROOT), found[rng.integers(len(found))]
+                if number < before:
+                    continue
+                line, text = chosen()
                 (copied / module).write_text(text, encoding="utf-8")
                 if is_killed(copied, module, asked.limit):
-                    killed += 1
+                    own["killed"] += 1
                 else:
-                    survivors.append(f"{module}:{line}")
+                    own["survivors"].append(f"{module}:{line}")
                 shutil.copy(path, copied / module)
-                print(f"{room}: {killed} killed, alive {survivors}", flush=True)
-            result[room] = {"killed": killed, "survivors": survivors}
-            if asked.out:
-                asked.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+                print(f"{room}: {own['killed']} killed, alive {own['survivors']}", flush=True)
+                if asked.out:
+                    asked.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Array, InvalidInput, Stream
+from knotgym.photos import view_kernels
 from knotgym.photos.photo_look import DEFAULT, LOOKS, Photo, Rng, drawn_look
 from knotgym.photos.photo_painting import PhotoRope, PhotoView, Shot, ground_of, is_clear, painted
 from knotgym.rendering import AppearanceConfig, Drawer, Drawn, checked_points
@@ -138,12 +139,10 @@ def tilted(points: Array, tilt: float, heading: float) -> Array:
     >>> tilted(np.array([[0.0, 0.0, 1.0]]), 90.0, 0.0).round(9).tolist()  # seen from the right
     [[-1.0, 0.0, 0.0]]
     """
-    t, h, (x, y, z) = math.radians(tilt), math.radians(heading), points.T
-    c, s = math.cos(h), math.sin(h)
-    # the direction of leaning is foreshortened, the one across it stays
-    along, across = c * x + s * y, c * y - s * x
-    along, height = math.cos(t) * along - math.sin(t) * z, math.sin(t) * along + math.cos(t) * z
-    return np.stack([c * along - s * across, s * along + c * across, height], axis=1)
+    angles = [(math.cos(a), math.sin(a)) for a in map(math.radians, (tilt, heading))]
+    # a copy, as numba would compile again for what can't be written
+    turned: Array = view_kernels.tilted(np.array(points, np.float64, order="C"), *angles)
+    return turned
 
 
 def take(points: Array, look: Photo) -> Shot:

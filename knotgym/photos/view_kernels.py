@@ -24,6 +24,25 @@ _FOLD = _F(-0.85)  # cosine of 148 degrees
 
 
 @kernel
+def tilted(points: Array, lean: Any, heading: Any) -> Array:
+    """Return points in the axes of a camera that leans.
+
+    Args:
+        points: float64 (n, 3).
+        lean, heading: cosine and sine of both angles.
+    """
+    turned, (ct, st), (c, s) = np.empty((len(points), 3)), lean, heading
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        # the direction of leaning is foreshortened, the one across it stays
+        along, across = c * x + s * y, c * y - s * x
+        shown = ct * along - st * z
+        turned[i, 0], turned[i, 1] = c * shown - s * across, s * shown + c * across
+        turned[i, 2] = st * along + ct * z
+    return turned
+
+
+@kernel
 def extent(space: Array, kept: Array, c: float, s: float) -> tuple[Any, ...]:
     """Return the least and the largest x, and y down, of the kept points of a curve in a picture.
 
@@ -188,7 +207,7 @@ def regions(curve: Array, after: Array, near: Any, margin: Any, size: int) -> tu
         low[axis] = int(max(least - _F(margin) - _F(4), _F(0)))
         high[axis] = max(min(int(most + _F(margin) + _F(5)), size), low[axis])
     left, top, right, bottom = int(low[0]), int(low[1]), int(high[0]), int(high[1])
-    canvas = np.zeros((bottom - top, right - left), np.uint8)
+    canvas = np.zeros((bottom - top, (right - left + 7) & ~7), np.uint8)
     limit, reach = _F(near), np.sqrt(_F(near)) + _ONE
     for k in range(len(curve)):
         if after[k] == k:
@@ -207,8 +226,8 @@ def regions(curve: Array, after: Array, near: Any, margin: Any, size: int) -> tu
                 ex, ey = px - t * dx, py - t * dy
                 if ex * ex + ey * ey <= limit:
                     canvas[row - top, column - left] = 1
-    count, least = count_regions(canvas)
-    return count, least, canvas
+    count, least = count_regions(canvas, right - left)
+    return count, least, canvas[:, : right - left]
 
 
 @kernel

@@ -334,13 +334,14 @@ def _regions(pixels: Array, width: float) -> tuple[int, float]:
             dot = (pixels[i, axis] - low[axis]) * _FINE * (1 << _END)
             dots[i, axis] = int(np.rint(dot)) * unit
         high[axis] = (np.ceil(high[axis]) + border - low[axis]) * _FINE
-    canvas = np.zeros((int(high[1]), int(high[0])), np.uint8)
+    rows, columns = int(high[1]), int(high[0])
+    canvas = np.zeros((rows, (columns + 7) & ~7), np.uint8)
     # Background is 8-connected, so that a line of one dot would leak diagonally; two dots don't.
     thick = max(2, int(np.rint(width * _FINE)))
     for i in range(beads):
         _band(canvas, dots[i - 1], dots[i], thick)
         _disc(canvas, _dot(dots[i, 0]), _dot(dots[i, 1]), (thick + 1) // 2)
-    count, least = count_regions(canvas)
+    count, least = count_regions(canvas, columns)
     return count, least / _FINE**2
 
 

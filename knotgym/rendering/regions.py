@@ -9,13 +9,14 @@ from knotgym.common import Array, Ids, inner
 
 
 @inner
-def count_regions(canvas: Array) -> tuple[int, float]:
+def count_regions(canvas: Array, columns: int) -> tuple[int, float]:
     """Count the regions of 0, connected by sides and corners; return the least area, pixels, too.
 
     Args:
-        canvas: uint8 (rows, columns).
+        canvas: uint8 (rows, a multiple of 8), contiguous.
+        columns: how many of its columns count.
     """
-    rows, columns = canvas.shape
+    rows, eights = len(canvas), canvas.view(np.uint64)
     most = columns // 2 + 1  # runs of a row
     runs = np.empty((2, most, 3), np.int64)  # begin, end and number: of the last row and of this
     # a run's region: that of its leader, whose own is itself
@@ -28,7 +29,9 @@ def count_regions(canvas: Array) -> tuple[int, float]:
                 continue
             begin = column
             while column < columns and not canvas[row, column]:
-                column += 1
+                # most of a picture is no rope: eight pixels are looked at as one number
+                clear = column & 7 == 0 and column + 8 <= columns and eights[row, column >> 3] == 0
+                column += 8 if clear else 1
             run = here[found]
             run[0], run[1], run[2] = begin, column, count
             leaders[count], dots[count] = count, column - begin
