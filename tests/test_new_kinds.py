@@ -19,7 +19,7 @@ from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
 from knotgym.envs import OBSERVATIONS, EpisodeBatch, TaskConfig
 from knotgym.generate import CollectConfig, collect
-from knotgym.loaders import Transitions, Window, arrays, multiplied
+from knotgym.loaders import Symmetries, Transitions, Window, arrays
 from knotgym.quality import Limits, Quality
 from knotgym.rope import CHAIN, ENGINES, VIEWS, ChainSimulation, simulation
 from knotgym.runs import RunOptions
@@ -134,7 +134,7 @@ def test_every_view_is_the_same_in_environments_and_arrays(
         with pytest.raises(InvalidInput, match="any action but .bead., .six., whose"):
             arrays(made, action=name, frame="canonical")
         with pytest.raises(InvalidInput, match="may be of the views pull, six"):
-            multiplied(held, 2, np.random.default_rng(0))
+            Symmetries.drawn(2, np.random.default_rng(0)).applied(held)
 
 
 def test_when_a_goal_is_shown(tmp_path: Path, monkeypatch: Patch) -> None:

@@ -21,12 +21,12 @@ from knotgym.generate import CollectConfig, ImagesConfig
 from knotgym.loaders import (
     GoalSampling,
     Sequences,
+    Symmetries,
     Transitions,
     Window,
     arrays,
     as_policy,
     images,
-    multiplied,
     statistics,
     stream,
     to_d3rlpy,
@@ -77,10 +77,11 @@ def rope(**settings: Any) -> Any:
     return RopeConfig(**settings)
 
 
-def twice(reading: dict[str, Any] = STATE, without: str = "", **more: Any) -> Any:
-    """Multiply a set that lacks a name, or has more."""
+def image(reading: dict[str, Any] = STATE, without: str = "", **more: Any) -> Any:
+    """Return an image of a set that lacks a name, or has more."""
     batch = {name: column for name, column in arrays(DATA, **reading).items() if name != without}
-    return multiplied(batch | more, 2, RNG)
+    count = len(batch.get("actions", ()))
+    return Symmetries.drawn(count, RNG).applied(batch | more)
 
 
 def register(name: str) -> None:
@@ -134,10 +135,10 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: stream(PLAYED, action="macro"), "use action 'pull' or 'bead'"),
     (lambda: stream(ImagesConfig(), action="bead"), "a stream of pictures takes no action"),
     (lambda: stream(cast(Any, BEADS)), "streams are of a CollectConfig or an ImagesConfig, got"),
-    (lambda: twice(without="actions"), "a batch to transform has actions"),
-    (lambda: twice(mine=np.zeros(3)), "no symmetry is known for 'mine'"),
-    (lambda: twice({"observation": "marked"}), "marked ones are alike"),
-    (lambda: twice({"observation": "pixels"}), "of_pictures=True"),
+    (lambda: image(without="actions"), "a batch to transform has actions"),
+    (lambda: image(mine=np.zeros(3)), "no symmetry is known for 'mine'"),
+    (lambda: image({"observation": "marked"}), "marked ones are alike"),
+    (lambda: image({"observation": "pixels"}), "of the kind state or symbolic"),
     (lambda: batch([0], frame="rope"), "one of world, canonical, got 'rope'"),
     (lambda: batch([0], frame="canonical"), 'goes with observation "state" or "mark'),
     (lambda: batch([0], action="bead", **CANONICAL), "got 'state' and 'bead'"),
@@ -150,7 +151,6 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: drawn_curve(GaussCode.parse("1+,2-,1-,2+"), RNG), "1+,2-,1-,2+"),
     (lambda: PolicyConfig(shares=(0.0, 0.0, 0.0, 0.0)), "shares"),
     (lambda: policy("no_such_module:act"), "no_such_module"),
-    (lambda: policy("recorded:nowhere"), "nowhere"),
     (lambda: register("expert"), "expert"),
 ]
 

@@ -207,7 +207,7 @@ def import_(given: Given, *curves: Annotated[Path, Parameter(name="CURVES")], ou
 
     Args:
         curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat, .xyz),
-            .vect, .json, .npy or .npz.
+            or arrays (n, 3) (.npy).
         out: State file to write, such as states.h5.
     """
     if not curves:

@@ -13,7 +13,6 @@ planner         plans pulls in the chain engine from the rope's current state
 mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code, see `own_policies`; the module may lie in the current folder
 FOLDER          a learner that `knotgym train` wrote; `pretrained`, `pretrained-clone` ship
-recorded:DATASET  repeats the pulls of a dataset's episodes, see `recorded_policy`
 
 All of them are rows of one table, each a `PolicyFamily`: `register_policy` adds one, and packages
 provide others through the entry-point group `knotgym.policies`, as `knotgym.learn` provides FOLDER.
@@ -180,12 +179,6 @@ for _row in (
     _planned("play", _later("planning.pass_policies:PlayPlayer"), _endless),
     _planned("planner", lambda config, batch: PullPlayer(config.planner, batch)),
     _planned("mixed", _later("planning.pass_policies:MixedPlayer")),
-    PolicyFamily(
-        form="recorded:DATASET",
-        make=_later("recorded_policy:load"),
-        matches=lambda name: name.startswith("recorded:"),
-        files=_later("recorded_policy:files"),
-    ),
 ):
     register_policy(_row)
 _OWN_CODE = PolicyFamily(

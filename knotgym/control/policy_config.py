@@ -62,10 +62,7 @@ class PolicyConfig:
     NAMED_BY: ClassVar = "policy"
 
     policy: Annotated[
-        str,
-        Mark("policy"),
-        # module:name is imported; recorded:DATASET is only read
-        Mark("typed", lambda name: ":" in str(name) and not str(name).startswith("recorded:")),
+        str, Mark("policy"), Mark("typed", lambda name: ":" in str(name))  # module:name is imported
     ] = "random"
     noise: Share = 0.1
     shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)

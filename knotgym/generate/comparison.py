@@ -19,8 +19,6 @@ from knotgym.generate.results import Result, evaluation_in
 from knotgym.rope import ENGINES
 from knotgym.runs import Difference, narrow_table
 
-_WIDTH = 15  # characters of a plot
-
 
 class _Score(NamedTuple):
     """A result and what it may be compared with.
@@ -113,15 +111,14 @@ def compare(paths: Sequence[Path], console: Console) -> None:
             which = ", ".join(f"{file} {digest}" for digest, file in engines.items())
             raise InvalidInput(one_line(f"engines that do otherwise played these results: {which}"))
         found = [_difference(one, base) for one in own[1:]]
-        reach = max([0.01, *(abs(end) for one, _ in found for end in one[1:3])])
         table = narrow_table(
-            ("policy", "success", "difference", "better", "plot"),
+            ("policy", "success", "difference", "better"),
             title=f"{base.result.task} nx {base.result.nx}, {base.result.split}, protocol"
             f" {' or '.join(sorted({one.protocol or 'none' for one in own}))}, against"
             f" {_name(base, own)}",
-            left=("policy", "plot"),
+            left=("policy",),
         )
-        table.add_row(_name(base, own), f"{100 * base.result.success_rate:.1f} %", "", "", "")
+        table.add_row(_name(base, own), f"{100 * base.result.success_rate:.1f} %", "", "")
         for one, (gained, _) in zip(own[1:], found, strict=True):
             mean, low, high, better = (100 * part for part in gained)
             table.add_row(
@@ -129,7 +126,6 @@ def compare(paths: Sequence[Path], console: Console) -> None:
                 f"{100 * one.result.success_rate:.1f} %",
                 f"{mean:+.1f} ({low:+.1f} to {high:+.1f})",
                 f"{better:.0f} %",
-                _plot(gained, reach),
             )
         console.print(table)
         paired = sum(is_paired for _, is_paired in found)
@@ -145,12 +141,3 @@ def _name(one: _Score, others: Sequence[_Score]) -> str:
     ways = (lambda file: file.stem), (lambda file: file.name), (lambda file: file.parent.name), str
     way = next(way for way in ways if len({*map(way, files)}) == len(files))
     return one_line(f"{one.result.policy}, {way(one.file)}")
-
-
-def _plot(gained: Difference, reach: float) -> str:
-    """Draw an interval on a scale from -reach to reach, with a line at 0."""
-    places = [round((end / reach + 1) / 2 * (_WIDTH - 1)) for end in gained[:3]]
-    drawn = [" "] * _WIDTH
-    drawn[places[1] : places[2] + 1] = "-" * (places[2] + 1 - places[1])
-    drawn[_WIDTH // 2], drawn[places[0]] = "|", "o"
-    return "".join(drawn)

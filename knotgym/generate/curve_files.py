@@ -2,25 +2,22 @@
 
     .csv .tsv .txt .dat .xyz   rows x y z or name x y z; the first may name the columns, then among
                                others; a line such as `t 0` before the rows is passed over
-    .vect                      polylines of Geomview
-    .json                      [[x, y, z], ...], also by name
-    .npy .npz                  arrays (n, 3)
+    .npy                       array (n, 3)
 
 A first row with the number of rows, a first column that counts them, and a last row that repeats
-the first are recognized in each. Several curves in one file have names of their own: in the first
-column or as keys. Components without them, such as parts between empty rows, polylines and nested
-lists, are those of a link, which is refused.
+the first are recognized in each. Several curves in one file have names of their own, in the first
+column. Components without them, such as parts between empty rows, are those of a link, which is
+refused.
 """
 
 import codecs
-import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import chain, groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +26,7 @@ from knotgym.common import Array, InvalidInput, one_line, require_regular
 
 _MOST = 1_000_000  # lines or points of a file, characters of a line
 _MOST_CURVES = 20_000  # of a file
+_MEGABYTES = 64  # of a file
 _EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]?\d)")  # Fortran's, as in 1.5D+00
 _TIME = re.compile(r"\s*(?:t|time|timestep|step|frame)\s*[=:]?\s*[-+.\deE]+\s*", re.IGNORECASE)
 _COMMENT = re.compile(r"(?:^|\s)#.*")  # 3_1#4_1 is a name
@@ -56,27 +54,26 @@ def read_curves(path: str | Path) -> list[Curve]:
     given = Path(path)
     if given.suffix.lower() not in _FORMS:
         raise InvalidInput(f"curves are read from {', '.join(_FORMS)}, got {given.name!r}")
-    reader, megabytes = _FORMS[given.suffix.lower()]
     require_regular(given, "file of curves", InvalidInput)
-    if given.stat().st_size > 1_000_000 * megabytes:
-        raise InvalidInput(f"{path} has more than {megabytes} MB")
+    if given.stat().st_size > 1_000_000 * _MEGABYTES:
+        raise InvalidInput(f"{path} has more than {_MEGABYTES} MB")
     try:
-        found = [(name, _array(points)) for name, points in reader(given)]
+        read = _FORMS[given.suffix.lower()](given)
+        named = [(name, _array(points)) for name, points in read]
     except Exception as error:  # there is no end to what foreign bytes make NumPy raise
         raise InvalidInput(f"{path} can't be read as curves: {one_line(error)[:300]}") from error
     # Parts of one name are components of one link. Without names all parts are those of one link.
-    for name, count in Counter(name for name, _ in found).most_common(1):
+    for name, count in Counter(name for name, _ in named).most_common(1):
         if count > 1:
             raise InvalidInput(
                 f"{path} holds a link, {count} components{f' of {name[:80]}' * bool(name)}, and a"
                 " knot has one; curves of their own need different names"
             )
-    if not 0 < len(found) <= _MOST_CURVES:
-        many = f"{len(found)} curves, more than {_MOST_CURVES}" if found else "no curves"
+    if not 0 < len(named) <= _MOST_CURVES:
+        many = f"{len(named)} curves, more than {_MOST_CURVES}" if named else "no curves"
         raise InvalidInput(f"{path} holds {many}")
-    one = len(found) == 1
-    file = given.name
-    return [Curve(file if one else f"{file}:{name[:80]}", points) for name, points in found]
+    file, alone = given.name, len(named) == 1
+    return [Curve(file if alone else f"{file}:{name[:80]}", points) for name, points in named]
 
 
 def _array(points: ArrayLike) -> Array:
@@ -198,58 +195,12 @@ def _by_name(rows: list[tuple[str, list[float]]], announced: str, path: Path) ->
         yield name, [point for _, point in same]
 
 
-def _from_vect(path: Path) -> Components:
-    words = [word for line in _lines(path) for word in line.partition("#")[0].split()]
-    if words[:1] != ["VECT"] or len(words) < 4:
-        raise InvalidInput("a text of Geomview begins with VECT and three numbers")
-    # After these three numbers: vertices of each polyline, colours of each, all coordinates, all
-    # colours.
-    polylines, vertices, colours = [int(word) for word in words[1:4]]
-    begin = 4 + 2 * max(polylines, 0)
-    # vertices of each polyline, negative if it is closed; how many colours it has isn't needed
-    counts = [int(word) for word in words[4:begin]][:polylines]
-    numbers = [float(word) for word in words[begin:]]
-    if sum(map(abs, counts)) != vertices or len(numbers) != 3 * vertices + 4 * colours:
-        raise InvalidInput("the numbers of polylines, vertices and colours aren't those announced")
-    points = np.reshape(numbers[: 3 * vertices], (-1, 3))
-    for count, part in zip(counts, np.split(points, np.cumsum(np.abs(counts))[:-1]), strict=True):
-        yield "", part if count > 0 else np.concatenate([part, part[:1]])
-
-
-def _nested(name: str, value: Any) -> Components:
-    """Yield the lists of points in a value; what else an object holds isn't read."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _nested(f"{name}.{key}".strip("."), inner)
-    elif isinstance(value, list):
-        # two lists deep is a curve, three are several
-        if value and isinstance(value[0], list) and value[0] and isinstance(value[0][0], list):
-            for inner in value:
-                yield from _nested(name, inner)
-        else:
-            yield name, value
-
-
 def _from_numpy(path: Path) -> Components:
     loaded = np.load(path, allow_pickle=False)
-    if isinstance(loaded, np.ndarray):
-        yield from _stacked("", loaded)
-        return
-    with loaded as archive:
-        if sum(member.file_size for member in archive.zip.infolist()) > 64_000_000:
-            raise InvalidInput("it unpacks to more than 64 MB")
-        for name in archive.files:
-            yield from _stacked(name, np.asarray(archive[name]))
+    yield from (("", points) for points in (loaded if loaded.ndim == 3 else [loaded]))
 
 
-def _stacked(name: str, values: np.ndarray) -> Components:
-    yield from ((name, one) for one in (values if values.ndim == 3 else [values]))
-
-
-# Reader and largest size, MB. Texts that are parsed as a whole take up to 40 times their size.
 _FORMS = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".xyz"), (_from_table, 64)),
-    ".vect": (_from_vect, 16),
-    ".json": (lambda path: _nested("", json.loads(path.read_text("utf-8-sig"))), 16),
-    **dict.fromkeys((".npy", ".npz"), (_from_numpy, 64)),
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".xyz"), _from_table),
+    ".npy": _from_numpy,
 }

@@ -32,7 +32,7 @@ from knotgym.generate.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import Limits, Quality
 from knotgym.rope import Rope, RopeConfig, Simulation, simulation_of
 from knotgym.states import States
-from knotgym.topology import UNKNOWN, GaussCode, Knot, knot_type, label
+from knotgym.topology import UNKNOWN, GaussCode, knot_type, label
 
 # Heights are scaled, which changes no code, and the curve is relaxed; the first to pass is kept.
 _HEIGHTS, _ROUNDS = (1.0, 0.4, 0.15), (0, 1, 2, 4, 8, 16, 32, 64)
@@ -94,9 +94,7 @@ def _laid(curve: Array, number: int, simulation: Simulation) -> dict[str, Any]:
     rope, limits = simulation.rope, Limits()
     code = _shown_code(curve, rope)
     if knot_type(code) == UNKNOWN:
-        several = Knot.possible(code)
-        which = f"; it is one of {', '.join(several)}, which share polynomials" if several else ""
-        raise InvalidInput(f"its knot, of {code.nx} crossings, can't be certified{which}")
+        raise InvalidInput(f"its knot, of {code.nx} crossings, can't be certified")
     stream, rest = Stream.IMPORT.key(0, code.nx, number), np.zeros((_REST, 6), dtype=np.float32)
     why = "its strands can't be moved apart"
     for height, rounds in product(_HEIGHTS, _ROUNDS):

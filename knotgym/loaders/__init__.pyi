@@ -9,7 +9,6 @@ from .row_policy import RowPolicy as RowPolicy
 from .row_policy import as_policy as as_policy
 from .sequences import Sequences as Sequences
 from .symmetries import Symmetries as Symmetries
-from .symmetries import multiplied as multiplied
 from .transitions import Transitions as Transitions
 from .windows import GoalSampling as GoalSampling
 from .windows import Window as Window

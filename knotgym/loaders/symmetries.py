@@ -1,9 +1,7 @@
-"""The task's symmetries, for batches of transitions: draw one for each sample, or multiply a set.
+"""The task's symmetries, for batches of transitions: draw one for each sample.
 
     batch = transitions.batch(rows)
-    drawn = Symmetries.drawn(len(rows), rng)
-    batch = drawn.applied(batch)                    # one image of each sample
-    larger = multiplied(arrays("..."), 8, rng)      # eight images of each
+    batch = Symmetries.drawn(len(rows), rng).applied(batch)  # one image of each sample
 
 Turning the rope about z, mirroring it in a vertical plane and switching over and under map motions
 to motions exactly: a step of the image ends within 1e-12 m of the image of the step in the chain
@@ -11,10 +9,8 @@ engine, 1e-6 m in MuJoCo. Walking it the other way does so within 2 mm, because 
 other beads (`topology.symmetry`). The goal, its code and the action change with the state. An image
 whose force leaves [-1, 1] is dropped: after a turn, a strong pull may have a larger component.
 
-Observations may be vertices ("state"), codes ("symbolic") or pictures; pictures and actions of the
-view "bead" have images only under quarter turns and mirrors, and switching and reversing change
-their colours, so `drawn` has `of_pictures`. The frame "canonical" of loaders and environments shows
-all images of a state alike, and so does "marked": there is nothing to draw.
+Observations may be vertices ("state") or codes ("symbolic"). The frame "canonical" of loaders and
+environments shows all images of a state alike, and so does "marked": there is nothing to draw.
 
 After a change run `pytest tests/loaders/test_symmetries.py`: an image of a step must be the step of
 the image.
@@ -53,29 +49,16 @@ class Symmetries(Symmetry):
     """
 
     @classmethod
-    def drawn(
-        cls,
-        count: int,
-        rng: np.random.Generator,
-        *,
-        of_pictures: bool = False,
-        reverse: bool = True,
-    ) -> "Symmetries":
+    def drawn(cls, count: int, rng: np.random.Generator, *, reverse: bool = True) -> "Symmetries":
         """Draw `count` symmetries uniformly.
 
         Args:
             count: number of samples.
             rng: generator of the draws.
-            of_pictures: quarter turns and mirrors alone.
             reverse: whether half of them walk the other way, which is a symmetry only nearly.
         """
         turn = rng.uniform(0, 2 * np.pi, count)
-        if of_pictures:
-            # drawn as any turn and rounded down, so both kinds take the same numbers of the stream
-            turn = np.floor(turn / (np.pi / 2)) * (np.pi / 2)
         flags = rng.random((3, count)) < 0.5
-        if of_pictures:
-            flags[1:] = False
         return cls(turn, flags[0], flags[1], flags[2] & reverse)
 
     def _visits(self, visits: ArrayLike) -> NDArray[np.int16]:
@@ -94,39 +77,14 @@ class Symmetries(Symmetry):
             row[: len(code.visits)] = code.visits
         return different[at.ravel(), : Observer.SYMBOLS].reshape(own.shape)
 
-    def _pictures(self, pictures: ArrayLike, ropes: int = 2) -> Array:
-        """Turn and mirror pictures of ropes side by side, (n, ..., size, ropes size, channels)."""
-        seen = np.asarray(pictures)
-        if self.switch.any() or self.reverse.any() or not self.has_quarter_turns:
-            raise InvalidInput(
-                "pictures have images under quarter turns and mirrors alone; draw the symmetries"
-                " with of_pictures=True"
-            )
-        *outer, size, width, channels = seen.shape
-        if width != ropes * size:
-            raise InvalidInput(
-                "pictures to turn are (n, size, 2 size, channels), one view of rope and goal; got"
-                f" {seen.shape}"
-            )
-        # ropes are turned alike, each about its own middle
-        parts = seen.reshape(*outer, size, ropes, size, channels)
-        mirror = self.reflect.reshape(-1, *(1 for _ in parts.shape[1:]))
-        mirrored = np.where(mirror, parts[..., ::-1, :], parts)
-        out = np.empty_like(mirrored)
-        for quarters in range(4):
-            own = self._quarters == quarters
-            # the picture's y axis points down, so that a turn about z is counterclockwise in it
-            out[own] = np.rot90(mirrored[own], quarters, axes=(-4, -2))
-        return out.reshape(seen.shape)
-
     def applied(self, batch: Mapping[str, Any], beads: int = 100) -> dict[str, Any]:
         """Return one image of each of the n samples of a batch, but for those that are dropped.
 
         Args:
             batch: what `arrays` or `Transitions.batch` returns, of any view of the actions; one
                 loaded with `apart` has `goals`.
-            beads: of a rope, if actions number them and codes or pictures are observed; the number
-                is known from vertices.
+            beads: of a rope, if actions number them and codes are observed; the number is known
+                from vertices.
 
         Returns:
             The same arrays; without the samples in which a force would leave [-1, 1].
@@ -158,54 +116,18 @@ class Symmetries(Symmetry):
                 raise InvalidInput(f"no symmetry is known for {name!r} of a batch; leave it out")
         return dict(Observer.map_parts(made, itemgetter(kept)))
 
-    @property
-    def _quarters(self) -> NDArray[np.int64]:
-        return np.rint(self.turn / (np.pi / 2)).astype(np.int64) % 4
-
-    @property
-    def has_quarter_turns(self) -> bool:
-        """Whether all turns are by quarters."""
-        return bool(np.allclose(self.turn, np.rint(self.turn / (np.pi / 2)) * (np.pi / 2)))
-
     def _observations(self, seen: ArrayLike, ropes: int, beads: int) -> Array:
         values = np.asarray(seen)
         if len(values) != len(self.turn):
             raise InvalidInput(f"{len(self.turn)} symmetries don't fit {len(values)} samples")
-        if values.dtype == np.uint8:
-            return self._pictures(values, ropes)
         if values.dtype == np.int16:
             return self._visits(values)
         is_state = values.dtype.kind == "f" and values.shape[-1] == 3 * ropes * beads
         # marked rows of 61 beads are as long as vertices of 69
         if not is_state or Marked.fits(values.reshape(-1, values.shape[-1])):
             raise InvalidInput(
-                "observations to transform are of the kind state, symbolic or pixels; marked ones"
-                " are alike for all images of a state"
+                "observations to transform are of the kind state or symbolic; marked ones are alike"
+                " for all images of a state"
             )
         points = values.reshape(*values.shape[:-1], ropes, beads, 3)
         return self.vertices(points).reshape(values.shape)
-
-
-def multiplied(
-    batch: Mapping[str, Any], times: int, rng: np.random.Generator, beads: int = 100, **kinds: bool
-) -> dict[str, Any]:
-    """Return `times` random images of every sample of a batch, one copy after the other.
-
-    Args:
-        batch: what `arrays` returns.
-        times: images of each sample, at least 1; those whose force leaves [-1, 1] are dropped.
-        rng: generator of the draws.
-        beads: as of `Symmetries.applied`.
-        kinds: as of `Symmetries.drawn`.
-    """
-    if times < 1:
-        raise InvalidInput(f"a set is multiplied at least once, got {times}")
-    count = len(np.asarray(batch["actions"])) if "actions" in batch else 0
-    copies = [Symmetries.drawn(count, rng, **kinds).applied(batch, beads) for _ in range(times)]
-    return {name: _joined([copy[name] for copy in copies]) for name in copies[0]}
-
-
-def _joined(parts: list[Any]) -> Any:
-    if isinstance(parts[0], dict):
-        return {name: _joined([part[name] for part in parts]) for name in parts[0]}
-    return np.concatenate(parts)

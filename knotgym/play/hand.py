@@ -43,7 +43,6 @@ class HandTab:
         self.wish: Callable[[], None] | None = None
         self._failure = ""
         self._drag: tuple[int, Array] | None = None  # bead, and where to, metres
-        self._selected = 0
         self._kept: set[int] = set()  # episodes that are recorded
         self.session = Session(config.task, config.seed, recorder.next_number() if recorder else 0)
         self._client, self._closed, rope = client, threading.Event(), config.task.rope_config
@@ -76,23 +75,12 @@ class HandTab:
             ("P", "Let it pull once", self._policy_pull),
             ("V", "View from above", lambda: self.scene.look_from_above(self.session.points)),
         )
-        for _, label, wish in buttons:
+        for key, label, wish in buttons:
             gui.add_button(label).on_click(self._wanting(wish))
+            gui.add_command(label, hotkey=key).on_trigger(self._wanting(wish))
         self._auto = gui.add_checkbox(f"Let {self._config.policy.policy} play", False)
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown(_KEYS)
-        for key, label, wish in (
-            *buttons,
-            ("B", "Select the bead before", lambda: self._select(-1)),
-            ("F", "Select the bead after", lambda: self._select(1)),
-            ("I", "Pull up", lambda: self._push(0, 1, 0)),
-            ("J", "Pull left", lambda: self._push(-1, 0, 0)),
-            ("K", "Pull down", lambda: self._push(0, -1, 0)),
-            ("L", "Pull right", lambda: self._push(1, 0, 0)),
-            ("O", "Pull over", lambda: self._push(0, 0, 1)),
-            ("U", "Pull under", lambda: self._push(0, 0, -1)),
-        ):
-            gui.add_command(label, hotkey=key).on_trigger(self._wanting(wish))
         for modifier, lift in ((None, None), ("shift", 1.0), ("alt", -1.0)):
             self.scene.grips.on_drag("left", modifier=modifier)(self._dragging(lift))
 
@@ -162,9 +150,6 @@ class HandTab:
     def _policy_pull(self) -> None:
         self._pull(lambda: self.session.let_act(self._config.policy))
 
-    def _push(self, x: float, y: float, z: float) -> None:
-        self._pull(lambda: self.session.pull(self._selected, (x, y, z)))
-
     def _after(self, change: Callable[[], None]) -> None:
         change()
         self._note()
@@ -190,10 +175,6 @@ class HandTab:
             self._recorder.finish(session.number, session.pulls)
             # not before, so that an episode that couldn't be stored is tried again
             self._kept.add(session.number)
-
-    def _select(self, step: int) -> None:
-        self._selected = (self._selected + step) % len(self.session.points)
-        self.scene.select(self.session.points, self._selected)
 
     # what the tab shows ------------------------------------------------------------------
 

@@ -14,8 +14,8 @@ from knotgym.play.page_config import PageConfig
 def play(given: Given, *, record: bool = False, id: str = "", out: Path | None = None) -> None:
     """Pull the rope by hand in a browser.
 
-    Episodes are those that `knotgym evaluate` plays with the same seed, so that a recording is
-    scored by `knotgym evaluate --policy recorded:DATASET`.
+    Episodes are those that `knotgym evaluate` plays with the same seed, and `knotgym
+    dataset show` prints how many of a recording's succeeded.
 
     Examples:
 

@@ -44,9 +44,6 @@ class RopeScene:
             self._meshes.append(self._capsules("/grips", points, rope, _GRIP * rope.radius, 0.0))
         self.grips = self._meshes[-1]
         self._marks = list[Any]()
-        self._selected = client.scene.add_icosphere(
-            "/selected", radius=1.6 * rope.radius * SCALE, color=(255, 255, 255), visible=False
-        )
 
     def _capsules(
         self, name: str, points: Array, rope: RopeConfig, radius: float, opacity: float | None
@@ -101,10 +98,6 @@ class RopeScene:
                 add, at = self._client.scene.add_label, SCALE * found.over_points[row]
                 at[2] += 0.15
                 self._marks.append(add(f"/crossings/{number}", f"{number}{sign}", position=at))
-
-    def select(self, points: Array, bead: int) -> None:
-        """Mark the bead that keys pull."""
-        self._selected.visible, self._selected.position = True, SCALE * points[bead]
 
 
 def _poses(points: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -1,7 +1,8 @@
 """Computation of quality measures: how readable a state's picture is, and how twisted the rope.
 
-`limits` defines the measures, their units and the limits for curated states. All measures but one
-are computed in one compiled call for many ropes, from crossings that are known already. Arithmetic
+`limits` defines the measures, their units and the limits for curated states. Most measures are
+computed in one compiled call for many ropes, from crossings that are known already; the rope beside
+which regions are counted is drawn by OpenCV. Arithmetic
 is that of C's mathematical library, without fastmath, so that a measure is the same fresh and from
 the cache, alone and beside others.
 
@@ -14,6 +15,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -35,10 +37,9 @@ from knotgym.topology import (
 WALK = 12.0
 # 64 draws put the 95 % interval of a share of 0.95 at 0.87 to 0.98; each costs a labelled curve.
 NOISE_DRAWS = 64
-# of the canvas on which regions are drawn: dots to a pixel, pixels of border, and binary places of
-# a dot's fractions, of the ends of lines and of their edges
-_FINE, _BORDER, _END, _EDGE = 3, 4, 4, 16
-_ONE = 1 << _EDGE
+# of the canvas on which regions are drawn: dots to a pixel, pixels of border that keep the outside
+# connected, and binary places of a dot's fractions
+_FINE, _BORDER, _END = 3, 4, 4
 
 
 def measure(
@@ -81,8 +82,33 @@ def measure_all(
     visits = np.concatenate([one.visits for one in crossings])
     table = np.concatenate([one.table for one in crossings])
     # a writable copy, because numba would compile the kernels again for a read-only array
-    _measure_rows(np.array(points, order="C"), counts, visits, table, lens, quick, measured)
+    seen = np.empty((*points.shape[:2], 2))
+    _measure_rows(np.array(points, order="C"), counts, visits, table, lens, quick, seen, measured)
+    for pixels, crossed, row in zip(seen, counts, measured, strict=True):
+        count, least = _regions(pixels, 2 * lens[0] * lens[2])
+        row[4] = least if count == crossed + 2 else 0.0
     return [Quality(*row) for row in measured.tolist()]
+
+
+def _regions(pixels: Array, width: float) -> tuple[int, float]:
+    """Count the regions beside a closed band; return the smallest area, too, square pixels.
+
+    Dots that touch by a side or a corner are of one region.
+
+    Args:
+        pixels: float64 (beads, 2), the middle of the band.
+        width: of the band, pixels.
+    """
+    border = _BORDER + int(width / 2)
+    low = np.floor(pixels.min(axis=0)) - border
+    wide, high = ((np.ceil(pixels.max(axis=0)) + border - low) * _FINE).astype(int)
+    canvas = np.zeros((high, (wide + 7) & ~7), dtype=np.uint8)
+    dots = np.rint((pixels - low) * _FINE * (1 << _END)).astype(np.int32)
+    # Background is 8-connected, so that a line of one dot would leak diagonally; two dots don't.
+    thick = max(2, round(width * _FINE))
+    cv2.polylines(canvas, [dots[:, None]], True, 1, thick, cv2.LINE_8, _END)
+    count, least = _counted(canvas, wide)
+    return count, least / _FINE**2
 
 
 def base_spacing(
@@ -134,10 +160,22 @@ def noise_survival(
 
 
 @kernel
+def _counted(canvas: Array, columns: int) -> tuple[int, float]:
+    return count_regions(canvas, columns)
+
+
+@kernel
 def _measure_rows(
-    points: Array, counts: Ids, visits: Ids, table: Array, lens: Any, quick: bool, out: Array
+    points: Array,
+    counts: Ids,
+    visits: Ids,
+    table: Array,
+    lens: Any,
+    quick: bool,
+    seen: Array,
+    out: Array,
 ) -> None:
-    """Compute all measures but the last of many ropes.
+    """Compute all measures but `smallest_region` and the last of many ropes.
 
     Args:
         points: float64 (n, beads, 3), metres.
@@ -146,6 +184,7 @@ def _measure_rows(
         table: float64 (counts[0] + counts[1] + ..., 7), likewise.
         lens: pixels per metre; side of the picture, pixels; radius of the rope, metres.
         quick: leave out the excess crossing number.
+        seen: float64 (n, beads, 2), the ropes in the picture, pixels; output.
         out: float64 (n, 11), measures in the order of `Quality`'s fields; output.
     """
     scale, size, thick = lens
@@ -153,7 +192,7 @@ def _measure_rows(
     for rope in range(len(points)):
         first, last = last, last + counts[rope]
         own, found, measured = points[rope], table[first:last], out[rope]
-        pixels = _in_picture(own, scale, size)
+        pixels = seen[rope] = _in_picture(own, scale, size)
         along, places, at = visited(pixels, found)
         low, high = size, 0.0
         for i in range(len(pixels)):
@@ -172,8 +211,6 @@ def _measure_rows(
         measured[0], measured[1] = angle, apart
         measured[2] = min(size, _base_spacing(along, places, at, 0))
         measured[3] = strand_spacing(pixels, along, at, WALK, size)
-        count, least = _regions(pixels, 2 * scale * thick)
-        measured[4] = least if count == len(found) + 2 else 0.0
         measured[5] = _smallest_face(pixels, visits[2 * first : 2 * last], places, found)
         measured[6] = min(low, size - high) - scale * thick
         measured[7] = 1000 * clear
@@ -307,134 +344,6 @@ def _smallest_face(pixels: Array, visits: Ids, places: Array, table: Array) -> f
             if dart == first:
                 smallest = min(smallest, abs(area) / 2)
     return smallest
-
-
-@inner
-def _regions(pixels: Array, width: float) -> tuple[int, float]:
-    """Count the regions beside a closed band; return the smallest area, too, square pixels.
-
-    The band is drawn as OpenCV's `polylines` draws it, dot for dot. Dots that touch by a side or a
-    corner are of one region.
-
-    Args:
-        pixels: float64 (beads, 2), the middle of the band.
-        width: of the band, pixels.
-    """
-    beads, unit = len(pixels), 1 << (_EDGE - _END)
-    low, high, dots = np.empty(2), np.empty(2), np.empty((beads, 2), np.int64)
-    # a border keeps the outside connected, and the band within the canvas
-    border = _BORDER + int(width / 2)
-    for axis in range(2):
-        low[axis] = high[axis] = pixels[0, axis]
-        for i in range(beads):
-            low[axis] = min(low[axis], pixels[i, axis])
-            high[axis] = max(high[axis], pixels[i, axis])
-        low[axis] = np.floor(low[axis]) - border
-        for i in range(beads):
-            dot = (pixels[i, axis] - low[axis]) * _FINE * (1 << _END)
-            dots[i, axis] = int(np.rint(dot)) * unit
-        high[axis] = (np.ceil(high[axis]) + border - low[axis]) * _FINE
-    rows, columns = int(high[1]), int(high[0])
-    canvas = np.zeros((rows, (columns + 7) & ~7), np.uint8)
-    # Background is 8-connected, so that a line of one dot would leak diagonally; two dots don't.
-    thick = max(2, int(np.rint(width * _FINE)))
-    for i in range(beads):
-        _band(canvas, dots[i - 1], dots[i], thick)
-        _disc(canvas, _dot(dots[i, 0]), _dot(dots[i, 1]), (thick + 1) // 2)
-    count, least = count_regions(canvas, columns)
-    return count, least / _FINE**2
-
-
-@inner
-def _dot(place: int) -> int:
-    """Return the nearest dot."""
-    return (place + _ONE // 2) >> _EDGE
-
-
-@inner
-def _band(canvas: Array, start: Ids, end: Ids, thick: int) -> None:
-    """Draw a line of some width between two places, (2,) each, in units of 2**-16 dots."""
-    dx, dy = (start[0] - end[0]) / _ONE, (end[1] - start[1]) / _ONE
-    length = np.sqrt(dx * dx + dy * dy)
-    if length == 0.0:
-        return
-    half = (thick * (_ONE // 2) + thick % 2 * _ONE * 0.5) / length
-    across, up, first = int(np.rint(dy * half)), int(np.rint(dx * half)), 0
-    corners = np.empty((4, 2), np.int64)
-    for k in range(4):
-        middle, side = start if k < 2 else end, 1 if k % 3 == 0 else -1
-        corners[k, 0], corners[k, 1] = middle[0] + side * across, middle[1] + side * up
-        first = k if corners[k, 1] < corners[first, 1] else first
-    for k in range(4):
-        _line(canvas, corners[k - 1], corners[k])
-    # Fill it from the top: two chains of sides go down from the highest corner, by rising and by
-    # falling numbers. In the row where a side ends, the next one of its chain begins.
-    # The lowest corner is opposite the highest.
-    row, stop = _dot(corners[first, 1]), _dot(corners[(first + 2) % 4, 1])
-    sides, chains = 4, np.empty((2, 4), np.int64)
-    for side in range(2):  # corner, row where the side ends, x, and its change in a row
-        chains[side, 0], chains[side, 1], chains[side, 2], chains[side, 3] = first, row, -_ONE, 0
-    while row <= stop:
-        for side in range(2):
-            chain = chains[side]
-            while row >= chain[1]:
-                if sides == 0:  # the rows that are left are those of the sides' own lines
-                    return
-                sides -= 1
-                start, end = chain[0], (chain[0] + (3 if side else 1)) % 4
-                last = _dot(corners[end, 1])
-                chain[0] = end
-                if last > row:
-                    chain[1], chain[2] = last, corners[start, 0]
-                    wide, high = corners[end, 0] - corners[start, 0], last - row
-                    chain[3] = _quotient(2 * wide + high, 2 * high)
-        begin, end = min(chains[0, 2], chains[1, 2]), max(chains[0, 2], chains[1, 2])
-        for column in range(_dot(begin), _dot(end) + 1):
-            canvas[row, column] = 1
-        chains[0, 2] += chains[0, 3]
-        chains[1, 2] += chains[1, 3]
-        row += 1
-
-
-@inner
-def _quotient(number: int, by: int) -> int:
-    """Divide by a positive number and round towards zero, as C does."""
-    return number // by if number >= 0 else -(-number // by)
-
-
-@inner
-def _line(canvas: Array, start: Ids, end: Ids) -> None:
-    """Draw a line of one dot in every row, or in every column if it is rather level."""
-    level = abs(end[0] - start[0]) > abs(end[1] - start[1])
-    major = 0 if level else 1
-    if end[major] < start[major]:
-        start, end = end, start
-    canvas[_dot(end[1]), _dot(end[0])] = 1
-    long, wide = end[major] - start[major], end[1 - major] - start[1 - major]
-    step = _quotient(wide * _ONE, long | 1)
-    at, other = _dot(start[major]), start[1 - major] + _ONE // 2
-    for _ in range((long >> _EDGE) + 1):
-        if level:
-            canvas[other >> _EDGE, at] = 1
-        else:
-            canvas[at, other >> _EDGE] = 1
-        at, other = at + 1, other + step
-
-
-@inner
-def _disc(canvas: Array, x: int, y: int, radius: int) -> None:
-    """Fill a circle (Bresenham)."""
-    error, dx, dy = 0, radius, 0
-    while dx >= dy:
-        for column in range(x - dx, x + dx + 1):
-            canvas[y - dy, column] = canvas[y + dy, column] = 1
-        for column in range(x - dy, x + dy + 1):
-            canvas[y - dx, column] = canvas[y + dx, column] = 1
-        error += 2 * dy + 1
-        dy += 1
-        if error > 0:
-            error -= 2 * dx - 1
-            dx -= 1
 
 
 @inner

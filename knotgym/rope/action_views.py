@@ -93,7 +93,6 @@ class ViewKind(NamedTuple):
             the rope's reach; None if no frame applies.
         image: actions (n, ..., size) after symmetries of ropes of so many beads; None if they have
             none.
-        of_quarters: whether they have images under quarter turns alone.
         acts_as: the view of an environment in which models of this one act; "" for itself.
         says: what an action is, for errors; "" for what follows from the rest.
     """
@@ -111,7 +110,6 @@ class ViewKind(NamedTuple):
     seen: Callable[[Any, Taken, Actions], dict[str, Actions]] | None = None
     to_world: Callable[[Any, Array, Array, float], Actions] | None = None
     image: Callable[[Any, Actions, int], Actions] | None = None
-    of_quarters: bool = False
     acts_as: str = ""
     says: str = ""
 
@@ -240,11 +238,6 @@ class ActionView:
         kind = VIEWS[fits[0]]
         if kind.image is None:
             raise InvalidInput(f"{fits[0]}s have no images here: load them in frame 'canonical'")
-        if kind.of_quarters and not symmetries.has_quarter_turns:
-            raise InvalidInput(
-                f"actions of the view {fits[0]} have images under quarter turns alone; draw the"
-                " symmetries with of_pictures=True"
-            )
         return kind.image(symmetries, actions, beads)
 
 
@@ -288,14 +281,6 @@ def _bead_stored(taken: Taken) -> Actions:
 def _bead_pull(view: ActionView, ids: Ids) -> Pull:
     forces = view.chosen_forces(view.actions[ids, 1:4])
     return view.actions[ids, 0].astype(np.int64), forces.astype(np.float32)
-
-
-def _bead_image(symmetries: Any, actions: Actions, beads: int) -> Actions:
-    made = actions.copy()
-    made[..., 0] = symmetries.beads(actions[..., 0], beads)
-    forces = symmetries.vectors(ActionView.chosen_forces(actions[..., 1:]))
-    made[..., 1:] = ActionView.force_choices(forces)
-    return made
 
 
 # a macro-action
@@ -395,12 +380,7 @@ VIEWS = Kinds(
             image=_pull_image,
         ),
         "bead": ViewKind(
-            4,
-            _bead_stored,
-            _bead_pull,
-            counts=(0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES),
-            image=_bead_image,
-            of_quarters=True,
+            4, _bead_stored, _bead_pull, counts=(0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES)
         ),
         "macro": ViewKind(
             3,

@@ -17,24 +17,19 @@ both. The sums for all s at once are one inverse FFT of a product of spectra. Su
 the spectra's moduli bound the agreement for every symmetry, so that one matrix product rules out
 most pairs.
 
-`spread_of` measures how diverse a set is by such distances, in numbers that can be compared between
-sets.
-
-After a change run `pytest tests/datasets/test_near_duplicates.py tests/states/test_spread.py`:
-distances are compared with the least over all symmetries one by one, and no pair within NEAR may
-be missed.
+After a change run `pytest tests/datasets/test_near_duplicates.py`: distances are compared with the
+least over all symmetries one by one, and no pair within NEAR may be missed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Array
-from knotgym.topology import find_crossings
 
 Complex = NDArray[np.complex128]
 
@@ -43,7 +38,6 @@ Complex = NDArray[np.complex128]
 NEAR = 0.015  # metres, root mean square over the beads
 _BLOCK = 1024  # rows, or pairs, held in memory at once
 _WAVES = 5  # frequencies whose moduli tell most configurations apart
-MOST = 500  # configurations that are compared pairwise
 
 
 class Spectra(NamedTuple):
@@ -88,21 +82,17 @@ class Spectra(NamedTuple):
         agreement = (flat + np.abs(self.upright) @ np.abs(others.upright).T) / a.shape[1]
         return self._distances(self.square[:, None], others.square[None], agreement)
 
-    def pair_distances(self, others: Spectra, *, mirrors: bool = True) -> Array:
-        """Compute the distance of row k, or of a single row, to row k of others: float64 (n,), m.
-
-        Without `mirrors` neither reflection nor switch is tried.
-        """
+    def pair_distances(self, others: Spectra) -> Array:
+        """Compute the distance of each row, or of one, to that row of others: float64 (n,), m."""
         best = np.full(len(self.flat), -np.inf)
         flat, upright = self.flat.conj(), self.upright.conj()
         for reverse in (False, True):
             flat_other = _negated(others.flat) if reverse else others.flat
             upright_other = _negated(others.upright) if reverse else others.upright
-            z = np.fft.ifft(upright_other * upright, axis=1).real
-            if mirrors:  # a switch may choose the sign
-                z = np.abs(z)
+            # a switch may choose the sign
+            z = np.abs(np.fft.ifft(upright_other * upright, axis=1).real)
             # reflection: the transform of conj(q) is the conjugate of q's at negated frequencies
-            for shown in (flat_other, _negated(flat_other).conj())[: 1 + mirrors]:
+            for shown in (flat_other, _negated(flat_other).conj()):
                 both = np.abs(np.fft.ifft(shown * flat, axis=1)) + z
                 best = np.maximum(best, both.max(axis=1))
         return self._distances(self.square, others.square, best)
@@ -203,84 +193,3 @@ def repeated(rows: Iterable[Hashable]) -> list[tuple[int, int]]:
 def _negated(spectra: NDArray[Any]) -> NDArray[Any]:
     """Reorder spectra (n, beads) from frequency k to -k: the spectra of the reversed ropes."""
     return np.roll(spectra[:, ::-1], 1, axis=1)
-
-
-def spread_of(points: Array) -> dict[str, Any]:
-    """Measure the spread of configurations; their order doesn't matter for up to MOST of them.
-
-    Of more than MOST, only MOST evenly spaced ones are compared pairwise.
-
-    Args:
-        points: float64 (n, beads, 3), n at least 1, metres.
-
-    Returns:
-        Values for JSON:
-        "distance": median and minimum over all pairs, metres: root mean square over the beads,
-            after the best rotation about z and translation; None for a single configuration;
-        "shape": the same, also at the best base bead and direction along the rope (bead by bead,
-            two equal circles traversed in opposite directions are 1.4 radii apart);
-        "gyration": minimum and maximum radius of gyration, metres: root mean square distance of the
-            vertices from their mean; a circle as long as the rope has 0.212;
-        "height": minimum and maximum from the lowest to the highest vertex, metres;
-        "visits": mean distance along the rope, in beads, between a crossing in one configuration
-            and one in another: a quarter of the beads if crossings are uniform, 0 if all are at one
-            position; None without crossings or with one configuration;
-        "bare": longest stretch where no configuration crosses, beads; None without crossings.
-    """
-    few = points
-    if len(points) > MOST:
-        few = points[np.linspace(0, len(points) - 1, MOST).round().astype(int)]
-    every = Spectra.of(few)
-    turned = every.turned_distances(every)[np.triu_indices(len(few), 1)]
-    shapes = [
-        every.take(slice(k, k + 1)).pair_distances(every.take(slice(k + 1, None)), mirrors=False)
-        for k in range(len(few))
-    ]
-    centred = points - points.mean(axis=1, keepdims=True)
-    gyration = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
-    height = np.ptp(points[..., 2], axis=1)
-    found = [find_crossings(one) for one in few]
-    positions = [np.concatenate([one.over_place, one.under_place]) for one in found]
-    return {
-        "distance": _median_and_minimum(turned),
-        "shape": _median_and_minimum(np.concatenate(shapes)),
-        "gyration": [float(gyration.min()), float(gyration.max())],
-        "height": [float(height.min()), float(height.max())],
-        "visits": _visit_distance(positions, points.shape[1]),
-        "bare": _bare_stretch(np.concatenate(positions), points.shape[1]),
-    }
-
-
-def _visit_distance(positions: Sequence[Array], beads: int) -> float | None:
-    """Compute the mean distance, in beads, between visits of different configurations.
-
-    `positions` are those of each configuration's visits along the rope, in [0, beads].
-
-    >>> _visit_distance([np.array([98.0]), np.array([2.0, 48.0])], 100)
-    27.0
-    """
-    total, count = 0.0, 0
-    for k, own in enumerate(positions):
-        others = np.concatenate([np.empty(0), *positions[k + 1 :]])
-        # the rope is closed: the shorter of the two ways along it
-        apart = np.abs(own[:, None] - others)
-        total += float(np.minimum(apart, beads - apart).sum())
-        count += apart.size
-    return total / count if count else None
-
-
-def _bare_stretch(positions: Array, beads: int) -> float | None:
-    """Compute the length, in beads, of the longest stretch of the rope without a visit.
-
-    >>> _bare_stretch(np.array([90.0, 10.0, 40.0]), 100)
-    50.0
-    """
-    if not len(positions):
-        return None
-    # the gap after the last position wraps around to the first
-    ordered = np.sort(positions)
-    return float(np.diff(ordered, append=ordered[0] + beads).max())
-
-
-def _median_and_minimum(values: Array) -> list[float] | None:
-    return [float(np.median(values)), float(values.min())] if len(values) else None

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 import knotgym
 from knotgym.common import InvalidFile, InvalidInput, Table, format_of, read_tables, write_tables
 from knotgym.rope import MUJOCO
-from knotgym.states.near_duplicates import repeated, spread_of
+from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import ATTRIBUTES, FORMAT, STATES, VERTICES, VERTICES_FORMAT, RopeAtRest
 from knotgym.states.sources import SPLITS, STATE_SPLITS, resolve_states
 from knotgym.topology import UNKNOWN, GaussCode, Symmetry, canonical, same_spot
@@ -196,10 +196,6 @@ class States:
         """Return the codes of rows up to symmetry, see `topology.canonical`."""
         codes = map(GaussCode.parse, self.gauss_code[rows].tolist())
         return [canonical(code, Symmetry.DIAGRAM) for code in codes]
-
-    def spread(self, nx: int) -> dict[str, Any]:
-        """Measure how diverse the states with nx crossings are, see `near_duplicates.spread_of`."""
-        return spread_of(self.points[self.nx == nx])
 
     def take(self, rows: ArrayLike | slice) -> States:
         """Select rows, by a mask or by indices, in the order given."""

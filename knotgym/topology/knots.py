@@ -110,15 +110,6 @@ class Knot(NamedTuple):
 
     name: str
 
-    @staticmethod
-    def possible(code: GaussCode) -> list[str]:
-        """List the types that a prime diagram of unknown type may have; empty if nothing is known.
-
-        Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
-        """
-        parts = summands(simplify(code))
-        return _types_from_polynomials(parts[0]) if len(parts) == 1 else []
-
     @property
     def type(self) -> str:
         """The type: without handedness, summands in order of the table.

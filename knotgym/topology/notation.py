@@ -44,7 +44,6 @@ _TEXT_OF_LOOPS = ("[]", "PD[]", "PD[Loop[1]]", "DT[]", "DT:[]", "DTCode[]", "Gau
 _NUMBER = r"-?\d{1,9}"
 _LIST = rf"{_NUMBER}(?:,{_NUMBER})*"
 _CROSSING = r"X?[\[(]\d{1,9}(?:,\d{1,9}){3}[\])]"
-_BARE = r"X(?:\d{4}|\d{1,9}(?:,\d{1,9}){3})"  # the Knot Atlas: X1425 or X1,10,2,11
 _LETTERS = {"+": "c", "-": "a"}
 _BRACKETS = {ord("{"): "[", ord("}"): "]"}  # as KnotInfo writes lists
 _PD = re.compile(rf"(?:PD)?[\[(](?:,?{_CROSSING})+,?[\])]|(?:,?{_CROSSING})+")
@@ -258,7 +257,7 @@ def _parse_code(text: str) -> GaussCode:
     Raises:
         InvalidInput: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
 
-    >>> {str(_parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]", "X2211")}
+    >>> {str(_parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]")}
     {'1+,1-'}
     """
     if len(text) > _MOST_CHARACTERS:
@@ -286,27 +285,17 @@ def _parse_code(text: str) -> GaussCode:
 def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
     """Read the codes of a list or text, one a line; "#" begins a comment.
 
-    Brackets may be closed in a later line.
-
     Raises:
         InvalidInput: as `_parse_code`, with the number of the line.
 
-    >>> [code.nx for code in parse_codes(["1+,1-", "4 6 2 # DT", "", "PD[", "X[1,1,2,2]", "];"])]
+    >>> [code.nx for code in parse_codes(["1+,1-", "4 6 2 # DT", "", "PD[X[1,1,2,2]];"])]
     [1, 3, 1]
     """
-    held: list[str] = []
-    opened = first = 0
     lines = lines.splitlines() if isinstance(lines, str) else lines
-    for number, line in enumerate(chain(lines, [None]), 1):
-        if text := (line or "").partition("#")[0].strip():
-            first = first if held else number
-            held.append(text)
-            # brackets that are closed too often open nothing in the next line
-            opened = max(0, opened + text.count("[") - text.count("]"))
-        if held and (not opened or line is None or len(held) > MOST_CROSSINGS + 2):
-            with InvalidInput.instead(f"line {first}", InvalidInput):
-                yield _parse_code("\n".join(held))
-            held, opened = [], 0
+    for number, line in enumerate(lines, 1):
+        if text := line.partition("#")[0].strip():
+            with InvalidInput.instead(f"line {number}", InvalidInput):
+                yield _parse_code(text)
 
 
 def parse_ropes(text: str, closed: bool | Sequence[bool] = True) -> RopesCode:
@@ -350,12 +339,6 @@ def _read_crossings(tight: str, _: str) -> GaussCode | None:
     return _from_pd([numbers[k : k + 4] for k in range(0, len(numbers), 4)])
 
 
-def _read_bare(tight: str, _: str) -> GaussCode:
-    words = re.findall(_BARE, tight)
-    return _from_pd([[*map(int, word[1:])] if word[1:].isdigit() else _numbers(word)
-                    for word in words])  # fmt: skip
-
-
 def _read_numbers(tight: str, text: str) -> GaussCode:
     numbers = _numbers(tight)
     # each label occurs with both signs in a Gauss code, with one in a DT code
@@ -370,18 +353,6 @@ def _read_numbers(tight: str, text: str) -> GaussCode:
     return _from_signed(numbers)
 
 
-def _read_letters(tight: str, text: str) -> GaussCode:
-    letters = re.sub(r"DT:?|[\[\]]", "", tight).partition(".")[0]
-    # crossings, components and the crossings of each, then the partners; a is 1 or 2, A is -2
-    head = [ord(letter) - 96 for letter in letters[:3].lower()]
-    if head != [len(letters) - 3, 1, len(letters) - 3]:
-        expected = "expected such as DT[cacbca]"
-        raise invalid_code("it isn't that of one component", text, expected, "DT")
-    return _from_dt([
-        (ord(one.lower()) - 96) * (2 if one.islower() else -2) for one in letters[3:]
-    ])  # fmt: skip
-
-
 # Each row: a notation without spaces, and its reader, which may say None to leave it to later rows.
 _READERS: tuple[tuple[re.Pattern[str], Callable[[str, str], GaussCode | None]], ...] = tuple(
     (re.compile(pattern, flags), read)
@@ -392,17 +363,12 @@ _READERS: tuple[tuple[re.Pattern[str], Callable[[str, str], GaussCode | None]], 
          lambda tight, _: _from_signed([-number for number in _numbers(tight)])),
         # KnotTheory's, where + is over
         (rf"GaussCode\[{_LIST}\]", 0, lambda tight, _: _from_signed(_numbers(tight))),
-        # signed numbers with the signs of crossings 1, 2, 3, ..., as of Regina: 1 -2 3 -1 2 -3 ---
-        (rf"{_LIST},[+-]+", 0, lambda tight, _: _from_signed(
-            _numbers(tight), re.sub(r".*,", "", tight))),
         # O1-U2-O3-U1-O2-U3- or O1U2O3U1O2U3
         (r"[OoUu].*", re.DOTALL, lambda _, text: _from_over_under(text)),
         # PD codes of KnotInfo, with outer brackets or without, of KnotTheory and of Python
         (_PD.pattern, 0, _read_crossings),
-        (rf"{_BARE}(?:,{_BARE})*", 0, _read_bare),
         # DT codes of KnotInfo, also bare numbers, of KnotTheory and of SnapPy; signed numbers
-        (rf"(?:DT(?:Code)?:?)?[\[(]*{_LIST}[\])]*", 0, _read_numbers),
-        (r"DT(?:\[[A-Za-z]{4,}(?:\.[01]*)?\]|:[A-Za-z]{4,}(?:\.[01]*)?)", 0, _read_letters)
+        (rf"(?:DT(?:Code)?:?)?[\[(]*{_LIST}[\])]*", 0, _read_numbers)
     )
 )  # fmt: skip
 
@@ -421,16 +387,9 @@ _FOREIGN = tuple(
 )  # fmt: skip
 
 
-def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
-    """Return the Gauss code of signed numbers, + over, and of the signs of crossings in order."""
-    # signs at the end are those of crossings 1, 2, 3, ... in order of their labels, not of the walk
-    labels = sorted({abs(number) for number in numbers})
-    if signs and len(signs) != len(labels):
-        problem = f"it has {len(labels)} crossings and {len(signs)} signs"
-        raise invalid_code(problem, numbers, "give each crossing a sign, or none")
-    letters = {label: _LETTERS[sign] for label, sign in zip(labels, signs, strict=False)}
-    code = GaussCode.relabelled(numbers, letters or None)
-    return _planar(code, numbers)
+def _from_signed(numbers: list[int]) -> GaussCode:
+    """Return the Gauss code of signed numbers, + over."""
+    return _planar(GaussCode.relabelled(numbers), numbers)
 
 
 def _from_over_under(text: str) -> GaussCode:

@@ -201,7 +201,6 @@ SOURCES = {
     "collect": f"collect --policy random --episodes 1 --states {{h5}} --id {ID} --out {{root}}",
     "evaluate": "evaluate --episodes 1 --states {h5} --out {h5}",
     "video": "evaluate --episodes 1 --states {gif} --video {gif}",
-    "recorded": "evaluate --episodes 1 --policy recorded:{set} --out {set}/data/episodes.h5",
     "settings": "evaluate --episodes 1 --settings {json} --out {json}",
     "images": "images --nx 0 --count 1 --states {h5} --out {set}",
     "generate": "generate --codes {codes} --out {codes}",

@@ -18,7 +18,7 @@ from knotgym.control.policies import make_policy, register_policy
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
 from knotgym.control.recorded_policy import replay
 from knotgym.control.sampler import PolicyFamily, Pulls, SimplePolicy, rollouts
-from knotgym.datasets import PULLS, Episodes, write_episodes
+from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.states import States
 from knotgym.topology import CodeArrays, label
@@ -338,19 +338,6 @@ def test_a_module_that_exits_is_no_policy(tmp_path: Path, monkeypatch: pytest.Mo
     for call in (make_policy, PolicyConfig.files):
         with pytest.raises(InvalidPolicy, match="SystemExit.*leaves_at_once.py, line 2"):
             call(PolicyConfig(policy="leaves_at_once:act"))
-
-
-# recordings by name
-
-
-def test_a_recording_is_recognized_by_start_and_goal(tmp_path: Path) -> None:
-    made = played("random", SEEDS, 20)
-    write_episodes(tmp_path / "some.h5", [made.recording()], TASK)
-    policy = make_policy(PolicyConfig(policy=f"recorded:{tmp_path / 'some.h5'}"))
-    again = rollouts(policy, TASK, SEEDS[5:9], lanes=3)
-    assert np.array_equal(again.steps["force"], made.select(range(5, 9)).steps["force"])
-    with pytest.raises(InvalidPolicy, match="this start and goal.*other starts than coll"):
-        rollouts(policy, TASK, [3])
 
 
 # the registry

@@ -7,7 +7,7 @@ import pytest
 from synthetic_episodes import TINY
 
 from knotgym.adapters import goal_env
-from knotgym.control import PolicyConfig, make_policy, rollouts
+from knotgym.control import replay
 from knotgym.datasets import open_episodes
 from knotgym.envs import reward
 from knotgym.envs.reward import Situation
@@ -55,8 +55,7 @@ def test_a_reward_is_changed_in_one_place(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(reward, "reward", dearer)
     # episodes that are played, and those that `dataset verify` plays again
     steps = stored.episodes.steps
-    policy = make_policy(PolicyConfig(policy="recorded:" + str(TINY["expert"])))
-    played = rollouts(policy, stored.task, stored.episodes.episodes).steps
+    played = replay(stored.episodes, stored.task).steps
     before_last = np.delete(np.arange(steps.rows), stored.episodes.last())
     paid = -0.1 - steps["crossings"][before_last + 1]
     np.testing.assert_allclose(played["reward"][before_last], steps["reward"][before_last] + paid)

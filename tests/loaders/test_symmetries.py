@@ -8,7 +8,7 @@ from synthetic_episodes import TINY
 
 from knotgym.common import InvalidInput
 from knotgym.envs import Marked
-from knotgym.loaders import GoalSampling, Symmetries, Transitions, Window, arrays, multiplied
+from knotgym.loaders import GoalSampling, Symmetries, Transitions, Window, arrays
 from knotgym.rope import CHAIN, MUJOCO, Rope
 from knotgym.rope import simulation as simulation_of
 from knotgym.states import read_states, shipped
@@ -16,7 +16,7 @@ from knotgym.topology import GaussCode, label_many
 
 Array = NDArray[np.float64]
 COUNT = 64
-VIEWS = ("pull", "bead", "macro")
+VIEWS = ("pull", "macro")
 
 
 def orientations(rope: Rope, qpos: Array) -> Array:
@@ -83,7 +83,7 @@ def test_symmetries_of_a_batch_change_state_goal_and_action_alike(view: str) -> 
     still = Symmetries(np.zeros(count), *np.zeros((3, count), dtype=bool))
     for name, values in still.applied(batch).items():
         np.testing.assert_array_equal(values, batch[name])
-    drawn = Symmetries.drawn(count, np.random.default_rng(2), of_pictures=view == "bead")
+    drawn = Symmetries.drawn(count, np.random.default_rng(2))
     made = drawn.applied(batch)
     assert len({len(values) for values in made.values()}) == 1
     before, after = (one["observations"].reshape(-1, 2, 100, 3) for one in (batch, made))
@@ -103,43 +103,27 @@ def test_beads_are_numbered_backwards_on_a_rope_of_any_length() -> None:
     assert walked.applied(codes)["actions"][0, 0] == 99
 
 
-def test_pictures_turn_with_the_rope(rope: Rope) -> None:
-    from knotgym.rendering import draw
-
-    points = read_states(shipped(), images=False).points[:6]
-    drawn = Symmetries.drawn(6, np.random.default_rng(3), of_pictures=True)
-    seen = np.stack([np.concatenate([draw(one)] * 2, axis=1) for one in points])
-    moved = np.stack([np.concatenate([draw(one)] * 2, axis=1) for one in drawn.vertices(points)])
-    off = np.abs(drawn._pictures(seen).astype(int) - moved).mean(axis=(1, 2, 3))
-    wrong = np.abs(seen.astype(int) - moved).mean(axis=(1, 2, 3))
-    turned = drawn.reflect | (drawn.turn > 0)
-    assert off.max() < 2 and wrong[turned].min() > 5  # levels of 255; edges fall on other pixels
-
-
-@pytest.mark.parametrize(("observation", "axis"), [("state", -1), ("pixels", -2)])
-def test_a_rope_alone_moves_like_one_beside_another(observation: str, axis: int) -> None:
+def test_a_rope_alone_moves_like_one_beside_another() -> None:
     window = Window(goals=GoalSampling(negatives=2))
-    loader = Transitions(TINY["expert"], observation=observation, window=window)
+    loader = Transitions(TINY["expert"], observation="state", window=window)
     rows = np.arange(len(loader))
     batch = loader.batch(rows, apart=True, rng=np.random.default_rng(6))
-    drawn = Symmetries.drawn(len(rows), np.random.default_rng(7), of_pictures=axis == -2)
+    drawn = Symmetries.drawn(len(rows), np.random.default_rng(7))
     pairs = batch["negatives"].swapaxes(0, 1), (batch["observations"], batch["goals"])
     alone = drawn.applied(batch)
     del batch["goals"], batch["negatives"], batch["next_observations"]
     moved = alone["negatives"].swapaxes(0, 1), (alone["observations"], alone["goals"])
     for pair, own in zip(pairs, moved, strict=True):
-        both = drawn.applied(batch | {"observations": np.concatenate(pair, axis=axis)})
-        np.testing.assert_array_equal(both["observations"], np.concatenate(own, axis=axis))
+        both = drawn.applied(batch | {"observations": np.concatenate(pair, axis=-1)})
+        np.testing.assert_array_equal(both["observations"], np.concatenate(own, axis=-1))
 
 
-def test_a_set_is_multiplied_and_strong_pulls_are_dropped() -> None:
+def test_strong_pulls_are_dropped() -> None:
     batch = arrays(TINY["random"], observation="symbolic")
     batch["actions"][:, 3:] = (1, 0.3, 0)
-    larger = multiplied(batch, 40, np.random.default_rng(4))
     count = len(batch["actions"])
-    assert 0 < len(larger["actions"]) < 40 * count and np.abs(larger["actions"]).max() <= 1 + 1e-6
-    same = multiplied(batch, 3, np.random.default_rng(5), of_pictures=True)
-    assert len(same["actions"]) == 3 * count
+    made = Symmetries.drawn(count, np.random.default_rng(4)).applied(batch)
+    assert 0 < len(made["actions"]) < count and np.abs(made["actions"]).max() <= 1 + 1e-6
 
 
 def test_marked_rows_as_long_as_vertices_of_more_beads_are_refused() -> None:

@@ -69,14 +69,11 @@ AS_OTHERS_WRITE = {
         X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]
         [1,5,2,4],[3,1,4,6],[5,3,6,2]
         {1,5,2,4}, {3,1,4,6}, {5,3,6,2}
-        X1524 X3146 X5362
-        X1,5,2,4 X3,1,4,6 X5,3,6,2
         U1+O2+U3+O1+U2+O3+
-        u1+ o2+ u3+ o1+ u2+ o3+
-        -1 2 -3 1 -2 3 +++""",
-    LEFT_TREFOIL: "U1-O2-U3-O1-U2-O3-|PD[\nX[0,3,1,4],\nX[4,1,5,2],\nX[2,5,3,0]\n];",
-    TREFOIL.switched().plain: "[4, 6, 2]|4 6 2|4,6,2|DT: [(4,6,2)]|DTCode[4, 6, 2]|DT[cacbca]"
-    "|DT: cacbca|DT[cacbca.000]|O1-U2-O3-U1-O2-U3|1 -2 3 -1 2 -3"
+        u1+ o2+ u3+ o1+ u2+ o3+""",
+    LEFT_TREFOIL: "U1-O2-U3-O1-U2-O3-|PD[X[0,3,1,4],X[4,1,5,2],X[2,5,3,0]];",
+    TREFOIL.switched().plain: "[4, 6, 2]|4 6 2|4,6,2|DT: [(4,6,2)]|DTCode[4, 6, 2]"
+    "|O1-U2-O3-U1-O2-U3|1 -2 3 -1 2 -3"
     # whose plus is under, as its name says
     "|KnotInfo:{-1,2,-3,1,-2,3}",
     TREFOIL.plain: "-1 2 -3 1 -2 3|[-7,2,-3,7,-2,3]|GaussCode[-1, 3, -2, 1, -3, 2]",
@@ -87,7 +84,7 @@ AS_OTHERS_WRITE = {
     GaussCode.parse("1+a,1-a"): "[[2,1,1,2]]|O1-U1-",
 }
 # the Knot Atlas says it in both notations
-FIGURE_EIGHT = "GaussCode[1, -4, 3, -1, 2, -3, 4, -2]", "X4251 X8615 X6374 X2738"
+FIGURE_EIGHT = "GaussCode[1, -4, 3, -1, 2, -3, 4, -2]", "X[4,2,5,1]X[8,6,1,5]X[6,3,7,4]X[2,7,3,8]"
 
 
 @pytest.mark.parametrize(
@@ -113,7 +110,6 @@ def test_codes_are_read_as_others_write_them(text: str, code: GaussCode) -> None
         ("[[2,4,1,5],[3,1,4,6],[5,3,6,2]]", "walked backwards"),
         ("[4, 6, 8, 10, 2]", "no planar diagram has it"),
         ("DT:[(4,6),(2,8)]", "it can't be read"),
-        ("DT:eabcCaDeb", "isn't that of one component"),
         ("1,5,2,4;5,3,6,2;3,1,4,6", "cannot read the visit"),
         ("[" * 20_000, "it can't be read"),
         ("9" * 40_000, "too long"),
@@ -131,7 +127,6 @@ def test_codes_are_read_as_others_write_them(text: str, code: GaussCode) -> None
         ("O1+U1-", "crossing 1 has two signs"),
         ("KnotInfo:{1,2}", "crossing 1 is visited 0 times over and 1 under"),
         ("{-1,2,-3,1,-2,3}", "KnotInfo:"),
-        ("1 -1 ++", "it has 1 crossings and 2 signs"),
     ],
 )
 def test_a_bad_code_is_refused_in_one_short_line(text: str, problem: str) -> None:
@@ -252,18 +247,8 @@ def test_snappy_certifies_every_hard_unknot() -> None:
 
 def test_a_list_has_a_code_a_line() -> None:
     lines = ["# five", "O1U1", "4 6 8 2", "4 6 8 2 # twice the figure-eight knot", "[[1,1,2,2]]"]
-    lines += ["PD[", "X[1,5,2,4],", "", "X[5,3,6,2],X[3,1,4,6]", "];"]
+    lines += ["PD[X[1,5,2,4],X[5,3,6,2],X[3,1,4,6]];"]
     codes = [*parse_codes(lines)]
     assert [code.nx for code in codes] == [1, 4, 4, 1, 3] and codes[4] == TREFOIL
     with pytest.raises(InvalidInput, match="line 4: "):
-        [*parse_codes([*lines[:3], "[[1,2", "]]"])]
-
-
-@pytest.mark.clients
-def test_spherogram_writes_alphabetical_dt_codes_as_they_are_read() -> None:
-    spherogram = pytest.importorskip("spherogram")
-    for name in ("3_1", "4_1", "8_20", "9_49", "10_161"):
-        link = spherogram.Link(name)
-        numbers, letters = link.DT_code()[0], link.DT_code(DT_alpha=True)
-        assert _parse_code(letters) == _from_dt(numbers)
-        assert knot_type(_parse_code(letters)) == name
+        [*parse_codes([*lines[:3], "[[1,2"])]

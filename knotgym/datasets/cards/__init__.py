@@ -223,7 +223,6 @@ def _state_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTa
             says=f"{found.says}; {more['says']}",
         ),
         CardTable._of("train and test", [_overlap(states, nx) for nx in numbers]),
-        CardTable._of("spread", [_spread(states, nx) for nx in numbers]),
         _measured(states.measures),
         CardTable._of("rejected", rejected, attempts=report.get("attempts")),
     )
@@ -301,17 +300,6 @@ def _overlap(states: States, nx: int) -> tuple[object, ...]:
         near = f"{1000 * apart.min():.1f}"
     shared = [sum(one in {*seen} for one in own) for own, seen in zip(asked, known, strict=True)]
     return nx, len(test), *shared, near
-
-
-def _spread(states: States, nx: int) -> tuple[object, ...]:
-    found = states.spread(nx)
-    lengths = (found[name] or () for name in ("distance", "shape", "gyration", "height"))
-    beads = (found[name] for name in ("visits", "bare"))
-    return (
-        nx,
-        *(" / ".join(f"{round(1000 * one, 1):.3g}" for one in pair) or "-" for pair in lengths),
-        *("-" if one is None else f"{one:.1f}" for one in beads),
-    )
 
 
 def _image_tables(path: Path) -> dict[str, CardTable]:
