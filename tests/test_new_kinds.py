@@ -134,7 +134,7 @@ def test_every_view_is_the_same_in_environments_and_arrays(
         with pytest.raises(InvalidInput, match="any action but .bead., .six., whose"):
             arrays(made, action=name, frame="canonical")
         with pytest.raises(InvalidInput, match="may be of the views pull, six"):
-            Symmetries.drawn(2, np.random.default_rng(0)).applied(held)
+            Symmetries.drawn(len(held["actions"]), np.random.default_rng(0)).applied(held)
 
 
 def test_when_a_goal_is_shown(tmp_path: Path, monkeypatch: Patch) -> None:

@@ -94,23 +94,22 @@ def _rows() -> Iterator[PolicyFamily]:
 
 def family_of(name: str) -> PolicyFamily:
     """Return the first family whose form a name has; raise InvalidPolicy if none has."""
-    for one in _rows():
-        if one.form == name if one.matches is None else one.matches(name):
-            return one
+    for family in _rows():
+        if family.form == name if family.matches is None else family.matches(name):
+            return family
     several = "; for several, repeat evaluate's --policy, or `dataset merge` what each collected"
-    raise InvalidPolicy(
-        f"no policy {name!r}; use {', '.join(one.form for one in _rows())}{several * (',' in name)}"
-    )
+    forms = ", ".join(family.form for family in _rows())
+    raise InvalidPolicy(f"no policy {name!r}; use {forms}{several * (',' in name)}")
 
 
 @cache
 def _entry_point_families() -> tuple[PolicyFamily, ...]:
     families = []
-    for one in sorted(entry_points(group=GROUP), key=lambda one: one.value):
-        said = f"the policies of entry point {one.name} = {one.value} can't be loaded"
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.value):
+        said = f"the policies of entry point {point.name} = {point.value} can't be loaded"
         # another package's import may raise anything
         with InvalidPolicy.instead(said, Exception, SystemExit):
-            families.append(one.load())
+            families.append(point.load())
     return tuple(families)
 
 

@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +46,24 @@ from knotgym import (
     common,
     envs,  # OpenCV and the engines, which few readers need, on first use
 )
-from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
-from knotgym.datasets.episodes import FORMS, PULLS, STORED_PULLS, Episodes, fitted
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    KnotgymError,
+    MissingFile,
+    Schema,
+    Stream,
+    Table,
+)
+from knotgym.datasets.episodes import (
+    EPISODES,
+    PULLS,
+    STEPS,
+    STORED_PULLS,
+    STORED_RECORDED,
+    Episodes,
+    fitted,
+)
 from knotgym.envs import TaskConfig
 from knotgym.rope import ENGINES
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
@@ -281,12 +297,12 @@ def open_episodes(source: Any) -> EpisodeDataset:
         raise InvalidFile(f"{path} was recorded by Minari: it can be loaded, but not played again")
     read = partial(common.read_tables, format=FORMAT, version=VERSION, upgrades=_UPGRADES)
     _, attributes = read(path)
-    schemas = FORMS.get(str(attributes.get("form")))
-    if schemas is None:
-        raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
+    form = _FORMS.get(str(attributes.get("form")))
+    if form is None:
+        raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(_FORMS)}")
     with InvalidFile.instead(f"{path} has no valid task", KnotgymError, KeyError, TypeError):
         task = common.from_json(TaskConfig, attributes["task"])
-    sized = [schema.sized(beads=task.beads) for schema in schemas]
+    sized = [schema.sized(beads=task.beads) for schema in form.schemas]
     (rows, steps), _ = read(path, *sized)
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
@@ -298,7 +314,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
         with InvalidFile.instead(f"{path} has no valid tasks", KnotgymError, KeyError, TypeError):
             if rows["setup"].max(initial=0) >= len(opened.tasks):
                 raise InvalidFile("its episodes are of more tasks than it lists")
-    return _chosen(_unpacked(opened) if opened.episodes.is_recording else opened, source)
+    return _chosen(form.read(opened), source)
 
 
 def _chosen(opened: EpisodeDataset, source: Any) -> EpisodeDataset:
@@ -386,19 +402,20 @@ def write_episodes(
         own[STATES_DIGEST] = common.sha256(resolve_states(task.states))
     if "engine" not in own:
         own["engine"] = ENGINES[task.engine].behaviour()
+    name = "recording" if parts[0].is_recording else "columns"
     attributes = {
         **{name: fact for name, fact in own.items() if fact is not None},
-        "form": "recording" if parts[0].is_recording else "columns",
+        "form": name,
         "task": common.as_json(task),
         "rope": task.rope_config.fingerprint,
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
         **_digests_of(same),
     }
     attributes[_SEAL] = EpisodeDataset.seal(attributes)
-    if parts[0].is_recording:
-        # beside its states, by which the starts that follow from seeds are found
-        same, pack = _packed(same, EpisodeDataset(Path(path), same[0], task, attributes)), True
-    tables = zip(*same, strict=True)
+    form = _FORMS[name]
+    # beside its states, by which the starts that follow from seeds are found
+    written = form.written(same, EpisodeDataset(Path(path), same[0], task, attributes))
+    tables, pack = zip(*written, strict=True), pack or form.is_packed
     common.write_tables(path, tables, attributes, format=FORMAT, version=VERSION, pack=pack)
 
 
@@ -452,6 +469,28 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
         raise InvalidFile(f"{stored.path} has no forces")
     schema = PULLS.with_own(columns).only(*columns)
     return replace(stored, episodes=Episodes(own, Table(schema, columns)))
+
+
+class _Form(NamedTuple):
+    """A form of files, named by their attribute `form`.
+
+    Attributes:
+        schemas: of the tables of episodes and steps.
+        written: makes of the parts of a dataset what its file holds.
+        read: makes a whole dataset of what its file holds.
+        is_packed: whether files are compressed, asked for or not.
+    """
+
+    schemas: tuple[Schema, Schema]
+    written: Callable[[Sequence[Episodes], EpisodeDataset], Sequence[Episodes]]
+    read: Callable[[EpisodeDataset], EpisodeDataset]
+    is_packed: bool
+
+
+_FORMS = {
+    "columns": _Form((EPISODES, STEPS), lambda parts, place: parts, lambda stored: stored, False),
+    "recording": _Form((STORED_RECORDED, STORED_PULLS), _packed, _unpacked, True),
+}
 
 
 def _starts(place: EpisodeDataset, rows: Table) -> NDArray[np.float64]:

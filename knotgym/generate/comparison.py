@@ -48,10 +48,10 @@ def _scores_in(path: Path) -> list[_Score]:
     """
     results = list[Result]()
     if entry := read_entry(path):
-        for one, faults in entry.recounted():
+        for result, faults in entry.recounted():
             if faults:
                 raise InvalidFile(f"{path}: {faults[0]}")
-            results.append(one)
+            results.append(result)
         config, digests = entry.config, states_digests(entry.config)
         engine = ENGINES[config.task.engine].behaviour()  # which played it again
     else:
@@ -67,23 +67,25 @@ def _scores_in(path: Path) -> list[_Score]:
             digests = dict((content["source"] or {}).get("states", {}))
             engine = str(content.get("engine", ""))
     rules = Mark.values(config.task, "rules", "physics") | {"states": sorted(digests.values())}
-    own = ({name: getattr(one, name) for name in ("task", "nx", "split")} for one in results)
-    cells = [json.dumps([*(rules | one).items()]) for one in own]
+    settings = (
+        {name: getattr(result, name) for name in ("task", "nx", "split")} for result in results
+    )
+    cells = [json.dumps([*(rules | kept).items()]) for kept in settings]
     return [
-        _Score(path, cell, config.seed, config.protocol, engine, one)
-        for cell, one in zip(cells, results, strict=True)
+        _Score(path, cell, config.seed, config.protocol, engine, result)
+        for cell, result in zip(cells, results, strict=True)
     ]
 
 
-def _difference(one: _Score, base: _Score) -> tuple[Difference, bool]:
+def _difference(score: _Score, base: _Score) -> tuple[Difference, bool]:
     """Return how much higher a success rate is than another in its cell, and whether episodes were
     paired: they are if both have the same seed, and so the same starts.
     """
-    outcomes = one.result.outcomes, base.result.outcomes
-    sides = [(own["success"], [own["start"], own["goal"]]) for own in outcomes]
+    outcomes = score.result.outcomes, base.result.outcomes
+    sides = [(outcome["success"], [outcome["start"], outcome["goal"]]) for outcome in outcomes]
     n = min(len(success) for success, _ in sides)
     drawn = [[rows[:n] for rows in clusters] for _, clusters in sides]
-    if one.seed != base.seed or drawn[0] != drawn[1]:
+    if score.seed != base.seed or drawn[0] != drawn[1]:
         return Difference.between(*sides), False
     gained = np.subtract(sides[0][0][:n], sides[1][0][:n])
     return Difference.between((gained, drawn[1])), True
@@ -100,44 +102,45 @@ def compare(paths: Sequence[Path], console: Console) -> None:
         InvalidFile: an entry doesn't replay, or a file is neither.
         InvalidInput: no two results are of one cell, or engines that do otherwise played some.
     """
-    scores, cells = [one for path in paths for one in _scores_in(path)], dict[str, list[_Score]]()
-    for one in scores:
-        cells.setdefault(one.cell, []).append(one)
-    if all(len(own) < 2 for own in cells.values()):
+    cells = dict[str, list[_Score]]()
+    for path in paths:
+        for score in _scores_in(path):
+            cells.setdefault(score.cell, []).append(score)
+    if all(len(group) < 2 for group in cells.values()):
         raise InvalidInput("no two results are of the same task, nx, split, states and engine")
-    for own in filter(lambda own: len(own) > 1, cells.values()):
-        base, engines = own[0], {one.engine: one.file for one in own if one.engine}
+    for group in filter(lambda group: len(group) > 1, cells.values()):
+        base, engines = group[0], {score.engine: score.file for score in group if score.engine}
         if len(engines) > 1:
             which = ", ".join(f"{file} {digest}" for digest, file in engines.items())
             raise InvalidInput(one_line(f"engines that do otherwise played these results: {which}"))
-        found = [_difference(one, base) for one in own[1:]]
+        differences = [_difference(score, base) for score in group[1:]]
         table = narrow_table(
             ("policy", "success", "difference", "better"),
             title=f"{base.result.task} nx {base.result.nx}, {base.result.split}, protocol"
-            f" {' or '.join(sorted({one.protocol or 'none' for one in own}))}, against"
-            f" {_name(base, own)}",
+            f" {' or '.join(sorted({score.protocol or 'none' for score in group}))}, against"
+            f" {_name(base, group)}",
             left=("policy",),
         )
-        table.add_row(_name(base, own), f"{100 * base.result.success_rate:.1f} %", "", "")
-        for one, (gained, _) in zip(own[1:], found, strict=True):
+        table.add_row(_name(base, group), f"{100 * base.result.success_rate:.1f} %", "", "")
+        for score, (gained, _) in zip(group[1:], differences, strict=True):
             mean, low, high, better = (100 * part for part in gained)
             table.add_row(
-                _name(one, own),
-                f"{100 * one.result.success_rate:.1f} %",
+                _name(score, group),
+                f"{100 * score.result.success_rate:.1f} %",
                 f"{mean:+.1f} ({low:+.1f} to {high:+.1f})",
                 f"{better:.0f} %",
             )
         console.print(table)
-        paired = sum(is_paired for _, is_paired in found)
-        console.print(f"{paired} of {len(found)} paired by episode", highlight=False)
+        paired = sum(is_paired for _, is_paired in differences)
+        console.print(f"{paired} of {len(differences)} paired by episode", highlight=False)
 
 
-def _name(one: _Score, others: Sequence[_Score]) -> str:
+def _name(score: _Score, others: Sequence[_Score]) -> str:
     """Name a policy; where another has that name its file or folder, too."""
-    same = [other for other in others if other.result.policy == one.result.policy]
+    same = [other for other in others if other.result.policy == score.result.policy]
     if len(same) < 2:
-        return one_line(one.result.policy)
+        return one_line(score.result.policy)
     files = {other.file for other in same}
     ways = (lambda file: file.stem), (lambda file: file.name), (lambda file: file.parent.name), str
     way = next(way for way in ways if len({*map(way, files)}) == len(files))
-    return one_line(f"{one.result.policy}, {way(one.file)}")
+    return one_line(f"{score.result.policy}, {way(score.file)}")

@@ -63,11 +63,11 @@ class Symmetries(Symmetry):
 
     def _visits(self, visits: ArrayLike) -> NDArray[np.int16]:
         """Map codes, int16 (n, ..., SYMBOLS), as `observations.cut` gives them."""
-        own = np.asarray(visits, dtype=np.int16)
+        codes = np.asarray(visits, dtype=np.int16)
         flags = np.stack([self.switch, self.reverse], axis=1).astype(np.int16)
-        ones = [1] * (own.ndim - 2)
-        flags = np.broadcast_to(flags.reshape(len(own), *ones, 2), (*own.shape[:-1], 2))
-        rows = np.concatenate([own, flags], axis=-1).reshape(-1, Observer.SYMBOLS + 2)
+        ones = [1] * (codes.ndim - 2)
+        flags = np.broadcast_to(flags.reshape(len(codes), *ones, 2), (*codes.shape[:-1], 2))
+        rows = np.concatenate([codes, flags], axis=-1).reshape(-1, Observer.SYMBOLS + 2)
         # few different codes in a batch: each is mapped once
         different, at = np.unique(rows, axis=0, return_inverse=True)
         for row in different:
@@ -75,7 +75,7 @@ class Symmetries(Symmetry):
             code = code.switched() if row[-2] else code
             code = code.reversed() if row[-1] else code
             row[: len(code.visits)] = code.visits
-        return different[at.ravel(), : Observer.SYMBOLS].reshape(own.shape)
+        return different[at.ravel(), : Observer.SYMBOLS].reshape(codes.shape)
 
     def applied(self, batch: Mapping[str, Any], beads: int = 100) -> dict[str, Any]:
         """Return one image of each of the n samples of a batch, but for those that are dropped.

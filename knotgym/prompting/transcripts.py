@@ -27,7 +27,7 @@ FORMAT_VERSION = 2
 TOKENS = ("prompt_tokens", "completion_tokens")  # what is counted
 FILE = "transcripts.jsonl"  # name of the file in a run's folder
 _MOST_BYTES = 256 << 20  # of a file
-_HEAD = ("", "pictures", "exact", "crossings", "edits")
+_HEAD = ("", "pictures", "exact", "crossings")
 
 _Text = Annotated[str, Predicate(str.isprintable)]
 _Tokens = Annotated[int, Field(ge=0)] | None
@@ -103,13 +103,13 @@ def show_transcripts(named: str | Path) -> tuple[dict[str, Any], list[tuple[str,
     file = given / FILE if given.is_dir() else given
     if not file.is_file() or file.suffix != ".jsonl":
         return None
-    found = _read_transcripts(file)
-    config = found[0]["config"]
+    transcripts = _read_transcripts(file)
+    config = transcripts[0]["config"]
     task = config.get("task")  # none where pictures were read
     task = task and {name: task[name] for name in ("task", "nx", "split")}
     facts = {"model": config["chat"]["model"], "mode": config["mode"], "task": task}
-    table = [] if "actions" in found[0] else reading_table(reading_scores(found))
-    return {**facts, **summarize(found)}, table
+    table = [] if "actions" in transcripts[0] else reading_table(reading_scores(transcripts))
+    return {**facts, **summarize(transcripts)}, table
 
 
 def _read_transcripts(path: Path) -> list[dict[str, Any]]:
@@ -132,22 +132,22 @@ def _read_transcripts(path: Path) -> list[dict[str, Any]]:
 def _checked(text: str, where: str) -> dict[str, Any]:
     """Parse a line and check every field that is read later."""
     with InvalidFile.instead(f"{where} isn't JSON", ValueError, RecursionError):
-        found = json.loads(text)
-    if not isinstance(found, dict):
-        raise InvalidFile(f"{where} isn't a transcript but {str(found)[:40]}")
-    name, version = found.get("format"), found.get("format_version")
+        transcript = json.loads(text)
+    if not isinstance(transcript, dict):
+        raise InvalidFile(f"{where} isn't a transcript but {str(transcript)[:40]}")
+    name, version = transcript.get("format"), transcript.get("format_version")
     if (name, version) != (FORMAT, FORMAT_VERSION):
         raise InvalidFile(
             f"{where} has format {name!r} version {version!r}; this version reads {FORMAT!r}"
             f" version {FORMAT_VERSION}"
         )
     try:
-        (_EPISODE if "actions" in found else _PICTURE).validate_python(found)
+        (_EPISODE if "actions" in transcript else _PICTURE).validate_python(transcript)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"]))
         raise InvalidFile(f"{where}, field {field}: {first['msg']}") from None
-    return found
+    return transcript
 
 
 def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -158,7 +158,7 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     the success rate with its 95 % interval, and the episodes without any valid answer.
     """
     # the requests: turns of episodes, or the transcripts of pictures themselves
-    turns = [turn for one in transcripts for turn in one.get("turns", [one])]
+    turns = [turn for transcript in transcripts for turn in transcript.get("turns", [transcript])]
     facts: dict[str, Any] = {
         "answers": dict(Counter(turn["fault"] or "valid" for turn in turns).most_common()),
         "rejected": dict(
@@ -171,15 +171,17 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     if "actions" not in transcripts[0]:
         return {"pictures": len(transcripts), **facts}
     names = ("success", "start", "goal")
-    success, starts, goals = ([int(one[name]) for one in transcripts] for name in names)
+    success, starts, goals = (
+        [int(transcript[name]) for transcript in transcripts] for name in names
+    )
     return {
         "episodes": len(transcripts),
         "successes": sum(success),
         "success_rate": sum(success) / len(transcripts),
         "interval": list(cluster_interval(success, starts, goals)),
         "without_valid_answer": sum(
-            not one["success"] and all(turn["fault"] for turn in one["turns"])
-            for one in transcripts
+            not transcript["success"] and all(turn["fault"] for turn in transcript["turns"])
+            for transcript in transcripts
         ),
         **facts,
     }
@@ -187,7 +189,7 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def total(replies: Iterable[Mapping[str, Any]], name: str) -> int | None:
     """Add up the numbers of tokens of replies; None if one is unknown."""
-    counts = [one[name] for one in replies]
+    counts = [reply[name] for reply in replies]
     return None if None in counts else sum(counts)
 
 
@@ -195,23 +197,19 @@ def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[s
     """Score transcripts of mode read, by number of crossings and by grade; chirality is ignored.
 
     The scores are `exact` and `crossings`, the shares of pictures whose code, or number of
-    crossings, was read correctly; and `edits`, the mean edit distance to the true code, in visits,
-    where a missing code counts as empty.
+    crossings, was read correctly.
 
     Returns:
         Group -> number of pictures and mean of each score. Groups are "all", "nx 2" and the like,
-        the grades, "accepted", and "accepted, nx 2" and the like.
+        and the grades.
     """
-    groups: dict[str, list[tuple[bool, bool, int]]] = {}
-    for one in transcripts:
-        code, found = GaussCode.parse(one["gauss_code"]), one.get("read")
-        read = GaussCode.parse(found) if isinstance(found, str) else None
-        edits = _edit_distance(read or GaussCode(), code)
+    groups: dict[str, list[tuple[bool, bool]]] = {}
+    for transcript in transcripts:
+        code, answer = GaussCode.parse(transcript["gauss_code"]), transcript.get("read")
+        read = GaussCode.parse(answer) if isinstance(answer, str) else None
         scores = read is not None and read.matches(code), read is not None and read.nx == code.nx
-        keys = ["all", f"nx {code.nx}", str(one["grade"])]
-        keys += ["accepted", f"accepted, nx {code.nx}"] if one["accepted"] else []
-        for key in keys:
-            groups.setdefault(key, []).append((*scores, edits))
+        for key in ("all", f"nx {code.nx}", str(transcript["grade"])):
+            groups.setdefault(key, []).append(scores)
     return {
         key: {
             "pictures": len(rows),
@@ -224,31 +222,12 @@ def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[s
 def reading_table(scores: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
     """Return the rows of a table of `reading_scores`, its head first."""
     return [_HEAD] + [
-        (key, f"{one['pictures']:.0f}")
-        + tuple(f"{100 * one[name]:.1f} %" for name in ("exact", "crossings"))
-        + (f"{one['edits']:.2f}",)
-        for key, one in scores.items()
+        (key, f"{means['pictures']:.0f}", *(f"{100 * means[name]:.1f} %" for name in _HEAD[2:]))
+        for key, means in scores.items()
     ]
 
 
-def _edit_distance(one: GaussCode, other: GaussCode) -> int:
-    """Return the Levenshtein distance between two codes, in visits.
-
-    >>> _edit_distance(GaussCode.parse("1+,1-"), GaussCode.parse("1+,1-,2-,2+"))
-    2
-    """
-    # row[j] is the distance of the first i visits of `one` from the first j of `other`; `above` is
-    # the value that row[j - 1] had for i - 1
-    row = list(range(len(other.visits) + 1))
-    for i, visit in enumerate(one.visits, 1):
-        above, row[0] = row[0], i
-        for j, against in enumerate(other.visits, 1):
-            changed = above + (visit != against)
-            above, row[j] = row[j], min(changed, row[j] + 1, row[j - 1] + 1)
-    return row[-1]
-
-
 def _by_kind(key: str) -> tuple[int, int, str]:
-    """Sort key: all, then by nx, by grade from easy to hard, and accepted ones."""
-    kind = 0 if key == "all" else 1 if key.startswith("nx") else 2 if key in GRADES else 3
+    """Sort key: all, then by nx, then by grade from easy to hard."""
+    kind = 0 if key == "all" else 1 if key.startswith("nx") else 2
     return kind, GRADES.index(key) if key in GRADES else 0, key

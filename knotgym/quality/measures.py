@@ -61,8 +61,8 @@ def measure(
         All measures but noise_survival, which is computed by the function of that name; NaN for
         measures left out.
     """
-    found = find_crossings(points) if crossings is None else crossings
-    rows = measure_all(np.asarray(points, dtype=np.float64)[None], [found], config, quick=quick)
+    known = find_crossings(points) if crossings is None else crossings
+    rows = measure_all(np.asarray(points, dtype=np.float64)[None], [known], config, quick=quick)
     return rows[0]
 
 
@@ -78,9 +78,9 @@ def measure_all(
         return []
     config = PictureConfig.of(points.shape[1]) if config is None else config
     lens = config.pixels_per_metre, float(config.size), config.rope_radius
-    measured, counts = np.empty((len(points), 11)), np.array([one.nx for one in crossings])
-    visits = np.concatenate([one.visits for one in crossings])
-    table = np.concatenate([one.table for one in crossings])
+    measured, counts = np.empty((len(points), 11)), np.array([each.nx for each in crossings])
+    visits = np.concatenate([each.visits for each in crossings])
+    table = np.concatenate([each.table for each in crossings])
     # a writable copy, because numba would compile the kernels again for a read-only array
     seen = np.empty((*points.shape[:2], 2))
     _measure_rows(np.array(points, order="C"), counts, visits, table, lens, quick, seen, measured)
@@ -153,10 +153,10 @@ def noise_survival(
         rng = Stream.NOISE_SURVIVAL.generator(seed)
     varied = Rope.noised(p, scale, [rng] * draws)
     codes = CodeArrays.read(np.concatenate([p, varied]))
-    own = (codes.visits == codes.visits[0]).all(axis=1) & (codes.signs == codes.signs[0]).all(
+    survives = (codes.visits == codes.visits[0]).all(axis=1) & (codes.signs == codes.signs[0]).all(
         axis=1
     )
-    return float(own[1:].mean())
+    return float(survives[1:].mean())
 
 
 @kernel
@@ -191,40 +191,42 @@ def _measure_rows(
     last = 0
     for rope in range(len(points)):
         first, last = last, last + counts[rope]
-        own, found, measured = points[rope], table[first:last], out[rope]
-        pixels = seen[rope] = _in_picture(own, scale, size)
-        along, places, at = visited(pixels, found)
+        laid, crossed, measured = points[rope], table[first:last], out[rope]
+        pixels = seen[rope] = _in_picture(laid, scale, size)
+        along, places, at = visited(pixels, crossed)
         low, high = size, 0.0
         for i in range(len(pixels)):
             for axis in range(2):
                 low, high = min(low, pixels[i, axis]), max(high, pixels[i, axis])
         angle, apart, clear, writhe = 90.0, size, 4 * thick, 0.0
-        for k in range(len(found)):
-            one = found[k]
-            angle = min(angle, _angle(own, one[CROSSING.over_place], one[CROSSING.under_place]))
-            clear = min(clear, one[CROSSING.over_z] - one[CROSSING.under_z])
-            writhe += one[CROSSING.sign]
+        for k in range(len(crossed)):
+            crossing = crossed[k]
+            angle = min(
+                angle, _angle(laid, crossing[CROSSING.over_place], crossing[CROSSING.under_place])
+            )
+            clear = min(clear, crossing[CROSSING.over_z] - crossing[CROSSING.under_z])
+            writhe += crossing[CROSSING.sign]
             for j in range(k):
-                x = scale * one[CROSSING.x] - scale * found[j, CROSSING.x]
-                y = scale * one[CROSSING.y] - scale * found[j, CROSSING.y]
+                x = scale * crossing[CROSSING.x] - scale * crossed[j, CROSSING.x]
+                y = scale * crossing[CROSSING.y] - scale * crossed[j, CROSSING.y]
                 apart = min(apart, np.sqrt(x * x + y * y))
         measured[0], measured[1] = angle, apart
         measured[2] = min(size, _base_spacing(along, places, at, 0))
         measured[3] = strand_spacing(pixels, along, at, WALK, size)
-        measured[5] = _smallest_face(pixels, visits[2 * first : 2 * last], places, found)
+        measured[5] = _smallest_face(pixels, visits[2 * first : 2 * last], places, crossed)
         measured[6] = min(low, size - high) - scale * thick
         measured[7] = 1000 * clear
-        measured[8] = np.nan if quick else _average_crossing_number(own) - len(found)
-        measured[9], measured[10] = _total_curvature(own), writhe
+        measured[8] = np.nan if quick else _average_crossing_number(laid) - len(crossed)
+        measured[9], measured[10] = _total_curvature(laid), writhe
 
 
 @kernel
 def _base_spacings(points: Array, table: Array, lens: Any, bases: Ids) -> Array:
     along, places, at = visited(_in_picture(points, lens[0], lens[1]), table)
-    found = np.empty(len(bases))
+    spacings = np.empty(len(bases))
     for row in range(len(bases)):
-        found[row] = min(lens[1], _base_spacing(along, places, at, bases[row]))
-    return found
+        spacings[row] = min(lens[1], _base_spacing(along, places, at, bases[row]))
+    return spacings
 
 
 @inner

@@ -237,7 +237,8 @@ class ActionView:
             raise InvalidInput(f"{size} numbers of an action {views}, so no image of them is known")
         kind = VIEWS[fits[0]]
         if kind.image is None:
-            raise InvalidInput(f"{fits[0]}s have no images here: load them in frame 'canonical'")
+            instead = ": load them in frame 'canonical'" if kind.seen else ""
+            raise InvalidInput(f"{fits[0]}s have no images here{instead}")
         return kind.image(symmetries, actions, beads)
 
 

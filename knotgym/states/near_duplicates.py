@@ -153,7 +153,7 @@ def pairs_within(
     """
     a = Spectra.of(points)
     b = a if others is None else Spectra.of(others)
-    found: list[tuple[int, int, float]] = []
+    pairs: list[tuple[int, int, float]] = []
     for first in range(0, len(points), _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, len(points)))
         # one matrix product a block rules out nearly all pairs; the rest is computed exactly
@@ -165,8 +165,8 @@ def pairs_within(
             i, j = rows[some[start : start + _BLOCK]], columns[start : start + _BLOCK]
             apart = a.take(i).pair_distances(b.take(j))
             rows_of = zip(i.tolist(), j.tolist(), apart.tolist(), strict=True)
-            found += [one for one in rows_of if one[2] < limit]
-    return found
+            pairs += [pair for pair in rows_of if pair[2] < limit]
+    return pairs
 
 
 def families(points: Array) -> NDArray[np.int64]:
@@ -186,7 +186,7 @@ def repeated(rows: Iterable[Hashable]) -> list[tuple[int, int]]:
     [(0, 2)]
     """
     first: dict[Hashable, int] = {}
-    pairs = [(first.setdefault(one, row), row) for row, one in enumerate(rows)]
+    pairs = [(first.setdefault(value, row), row) for row, value in enumerate(rows)]
     return [(earlier, row) for earlier, row in pairs if earlier != row]
 
 

@@ -18,7 +18,6 @@ def height(shown):
 
 new = Column("height", "float32", (), "m", "of the highest bead", optional=True, {how})
 schemas.STEPS = schemas.STEPS._replace(columns=(*schemas.STEPS.columns, new))
-schemas.FORMS["columns"] = schemas.EPISODES, schemas.STEPS
 """
 PLAYED = """
 import knotgym
@@ -106,7 +105,6 @@ def margin(made):
     return made.steps["observation"][made.last(), :, 2].max(axis=1).astype(float)
 schemas.EPISODES = schemas.EPISODES._replace(columns=tuple(
     c._replace(derived=margin) if c.name == "margin" else c for c in schemas.EPISODES.columns))
-schemas.FORMS["columns"] = schemas.EPISODES, schemas.STEPS
 """
 ROUND = """
 from functools import partial
