@@ -46,15 +46,7 @@ from knotgym import (
     common,
     envs,  # OpenCV and the engines, which few readers need, on first use
 )
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    KnotgymError,
-    MissingFile,
-    Schema,
-    Stream,
-    Table,
-)
+from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
 from knotgym.datasets.episodes import (
     EPISODES,
     PULLS,
@@ -481,7 +473,7 @@ class _Form(NamedTuple):
         is_packed: whether files are compressed, asked for or not.
     """
 
-    schemas: tuple[Schema, Schema]
+    schemas: tuple[common.Schema, common.Schema]
     written: Callable[[Sequence[Episodes], EpisodeDataset], Sequence[Episodes]]
     read: Callable[[EpisodeDataset], EpisodeDataset]
     is_packed: bool
