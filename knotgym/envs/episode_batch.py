@@ -6,7 +6,7 @@ What happens in an episode depends on its seed and its pulls, not on the episode
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from operator import itemgetter
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Array, Ids, InvalidInput, padded
-from knotgym.envs.observations import OBSERVATIONS, Frames, Observer
+from knotgym.envs.observations import OBSERVATIONS, Frames, Observer, parsed
 from knotgym.envs.reward import Outcome, Situation
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
@@ -114,7 +114,7 @@ class EpisodeBatch:
         """Return the distinct codes of the "start" or "goal" states, without chirality, sorted."""
         states = self.starts if side == "start" else self.goals
         codes = {*states.gauss_code[self.rows[side]].tolist()}
-        return [_parsed(str(code)) for code in sorted(codes)]
+        return [parsed(str(code)) for code in sorted(codes)]
 
     def begin(self, ids: Ids, seeds: Sequence[Seed], options: Options = None) -> None:
         """Begin episodes as `env.reset(seed=...)` does: draw starts and goals, lay the ropes.
@@ -166,7 +166,7 @@ class EpisodeBatch:
         qpos = self.simulation.rope.start_qpos(
             self.starts.qpos[starts],
             self.starts.points[starts],
-            [_parsed(str(text)) for text in self.starts.gauss_code_chiral[starts]],
+            [parsed(str(text)) for text in self.starts.gauss_code_chiral[starts]],
             self.task.reset_noise,
             rngs,
             [self._clearances[row] for row in starts.tolist()],
@@ -198,7 +198,7 @@ class EpisodeBatch:
         if "goal_visits" in rows:
             goals = CodeArrays(np.asarray(rows["goal_visits"], dtype=np.int16)).objects()
         else:
-            goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
+            goals = [parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
         self._seek(ids, goals)
         self.view.reset(ids)
 
@@ -438,8 +438,3 @@ class EpisodeBatch:
                 f" split{first}: {shown}; got {row!r}"
             )
         return int(given)
-
-
-@lru_cache(maxsize=1024)
-def _parsed(text: str) -> GaussCode:
-    return GaussCode.parse(text)

@@ -70,7 +70,7 @@ class Frames:
         from knotgym.topology import CodeArrays
 
         texts = CodeArrays(np.asarray(self.codes(goals))).texts().tolist()
-        wanted = [_parsed(text) for text in texts]  # which a stranger's numbers needn't be
+        wanted = [parsed(text) for text in texts]  # which a stranger's numbers needn't be
         return Marked.of(self.points(ropes), wanted, canonical=canonical)
 
     def _rows(self, ropes: NDArray[Any], goals: NDArray[Any], ids: Ids) -> NDArray[Any]:
@@ -340,5 +340,6 @@ def _stored(points: ArrayLike) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=1024)
-def _parsed(text: str) -> GaussCode:
+def parsed(text: str) -> GaussCode:
+    """Parse a code, which is likely to come again."""
     return GaussCode.parse(text)
