@@ -81,8 +81,8 @@ def measure_all(
     measured, counts = np.empty((len(points), 11)), np.array([each.nx for each in crossings])
     visits = np.concatenate([each.visits for each in crossings])
     table = np.concatenate([each.table for each in crossings])
-    # a writable copy, because numba would compile the kernels again for a read-only array
     seen = np.empty((*points.shape[:2], 2))
+    # a writable copy, because numba would compile the kernels again for a read-only array
     _measure_rows(np.array(points, order="C"), counts, visits, table, lens, quick, seen, measured)
     for pixels, crossed, row in zip(seen, counts, measured, strict=True):
         count, least = _regions(pixels, 2 * lens[0] * lens[2])
