@@ -1,6 +1,5 @@
 """A column added to a schema reaches every place that steps pass, or is refused by name."""
 
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -19,71 +18,13 @@ def height(shown):
 new = Column("height", "float32", (), "m", "of the highest bead", optional=True, {how})
 schemas.STEPS = schemas.STEPS._replace(columns=(*schemas.STEPS.columns, new))
 """
-PLAYED = """
-import knotgym
-from knotgym.cli import main
-from knotgym.datasets import columns_of
-from knotgym.loaders import arrays
-
-def run(*words):
-    try:
-        main([*map(str, words), "--quiet"])
-    except SystemExit as ended:
-        assert not ended.code, words
-
-collect = "collect --task tie --nx 1 --policy random --episodes 3 --workers 1".split()
-collect += ["--set", "task.horizon=3"]
-for seed in (0, 1):
-    run(*collect, "--seed", seed, "--id", f"a/s{seed}-v0", "--out", ".")
-one, other, out = "a/s0-v0", "a/s1-v0", Path("out.h5")
-
-def right(source):
-    steps = columns_of(source).episodes.steps
-    assert (steps["height"] == steps["observation"][..., 2].max(axis=1)).all(), source
-    assert (steps["height"] > 0).all()  # in the last row too
-
-right(one)
-assert knotgym.verify(one) == []
-run("dataset", "merge", one, other, "--out", "both.h5")
-run("dataset", "select", "both.h5", "--sample", 4, "--out", "some.h5")
-run("dataset", "export", "some.h5", "--to", "recording", "--out", "pulls.h5")
-run("dataset", "export", "pulls.h5", "--to", "columns", "--out", "again.h5")
-for name in ("both.h5", "some.h5", "again.h5"):
-    right(name)
-    assert knotgym.verify(name) == []
-run("dataset", "merge", "both.h5", "--id", "a/b-v0", "--out", ".")
-import h5py
-with h5py.File("a/b-v0/data/main_data.hdf5") as file:
-    assert (file["episode_0/infos/height"][()] > 0).all()
-with h5py.File("some.h5", "a") as file:
-    file["steps/height"][1] += 1
-assert any("height differs" in fault for fault in knotgym.verify("some.h5"))
-try:
-    import pyarrow.parquet as parquet
-except ImportError:
-    sys.exit()
-run("dataset", "export", "both.h5", "--to", "huggingface", "--out", "hub")
-found = parquet.read_table("hub/data/steps/train-00000-of-00001.parquet")["height"].to_numpy()
-assert (found == columns_of("both.h5").episodes.steps["height"]).all()
-"""
-
-
-def script(how: str, then: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a script in a fresh process, whose schema has one more column."""
-    return python("-c", ADDED.replace("{how}", how) + then, cwd=folder)
-
-
-def test_a_new_column_of_states_goes_everywhere(tmp_path: Path) -> None:
-    ended = script("of='state', derived=height", PLAYED, tmp_path)
-    assert ended.returncode == 0, ended.stderr
 
 
 @pytest.mark.parametrize(("of", "says"), [("state", "nothing computes"), ("pull", "nothing fills")])
 def test_a_new_column_that_nothing_fills_is_refused(of: str, says: str, tmp_path: Path) -> None:
     words = "collect --task tie --nx 1 --policy random --episodes 1 --workers 1 --out ."
-    ended = script(
-        f"of={of!r}, stepped=True", f"from knotgym.cli import main\nmain({words.split()})", tmp_path
-    )
+    added = ADDED.replace("{how}", f"of={of!r}, stepped=True")
+    ended = python("-c", f"{added}from knotgym import cli\ncli.main({words.split()})", cwd=tmp_path)
     assert ended.returncode and f"{says} column height of steps" in ended.stderr
     assert not [*tmp_path.rglob("*.h5")]
 
@@ -138,6 +79,9 @@ write_episodes("made.h5", [made], TASK); write_episodes("other.h5", [other], TAS
 
 def right(source, rows=None):
     found = open_episodes(source).episodes
+    if not found.is_recording:
+        steps = found.steps
+        assert np.array_equal(steps["height"], steps["observation"][..., 2].max(axis=1)), source
     want = made if rows is None else made.select(rows)
     for name in GIVEN:
         own = found.steps[name][: want.steps.rows]
@@ -156,7 +100,7 @@ for name in GIVEN:
 assert not left["macro_side"][: made.steps.rows].any() and left["macro_side"].any()
 right(select("made.h5", "some.h5", where="episode > 1"), [2, 3])
 for path in split("made.h5", "a=0.5,b=0.5", "parts.h5"):
-    assert {*GIVEN} <= {*open_episodes(path).episodes.steps}
+    assert {*GIVEN, "height"} <= {*open_episodes(path).episodes.steps}
 export(both, Path("pulls.h5"), "recording", replay)
 assert right("pulls.h5").is_recording
 export("pulls.h5", Path("again.h5"), "columns", replay)
@@ -166,25 +110,28 @@ right("a/b-v0")
 with h5py.File("a/b-v0/data/main_data.hdf5") as file:
     one = file["episode_0/infos"]
     assert np.array_equal(one["expert_action"], made.select([0]).steps["expert_action"])
+    assert (one["height"][()] > 0).all()  # in the last row too
     assert one["info_turn"][1] == 2 and one["log_prob"][1] == made.steps["log_prob"][0]
-for name in GIVEN:
+for name, says in {**dict.fromkeys(GIVEN, "digest"), "height": "height differs"}.items():
     with h5py.File(both, "a") as file:
-        file[f"steps/{name}"][1] += 1
-    assert any(name in fault and "digest" in fault for fault in knotgym.verify(both)), name
+        column = file[f"steps/{name}"]
+        was, column[1] = column[1], column[1] + 1
+    assert any(name in fault and says in fault for fault in knotgym.verify(both)), name
     with h5py.File(both, "a") as file:
-        file[f"steps/{name}"][1] -= 1
+        file[f"steps/{name}"][1] = was
 try:
     import pyarrow.parquet as parquet
 except ImportError:
     raise SystemExit
 export("made.h5", Path("hub"), "huggingface", replay)
 found = parquet.read_table("hub/data/steps/train-00000-of-00001.parquet")
-assert {"log_prob", "info_turn"} <= {*found.column_names}
+assert {"log_prob", "info_turn", "height"} <= {*found.column_names}
 assert np.array_equal(found["info_turn"].to_numpy(), made.steps["info/turn"])
 """
 
 
 def test_what_is_given_goes_everywhere(tmp_path: Path) -> None:
-    """Labels, a behaviour's log-probability, a user's info and an episode's column."""
-    ended = python("-c", LIKELY + ROUND, cwd=tmp_path)
+    """A column of states, labels, a behaviour's log-probability, a user's info, one of episodes."""
+    added = ADDED.replace("{how}", "of='state', derived=height")
+    ended = python("-c", LIKELY + added + ROUND, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
