@@ -53,8 +53,12 @@ SHOWN: tuple[tuple[str, str, str, Fits], ...] = (
         lambda name, tier: name == "matching",
     ),
     ("cloning:", "vertices", "goal-state", lambda name, tier: name in CLONERS),
-    ("cloning:", "its code", "code", lambda name, tier: name in CLONERS),
-    ("best of demonstrations (`noisy`):", "its code", "code", lambda name, tier: "noisy" in tier),
+    (
+        "best of demonstrations (`noisy`, recipes):",
+        "its code",
+        "code",
+        lambda name, tier: "noisy" in tier or name.endswith("recipe"),
+    ),
     (
         "best of random macro-actions (`wander`):",
         "its code",
@@ -298,7 +302,8 @@ def readme(text_: str, rows: Sequence[Row]) -> str:
             rate, name = means[-1] if means else (0.0, "")
             named = f", {name}" * says.endswith(":")
             line.append(f"{rate:.1f}{named}" if means else "not played")
-        shown.append((says.rstrip(":"), sees, *line))
+        if {*line} != {"not played"}:
+            shown.append((says.rstrip(":"), sees, *line))
     head = ("policy", "sees of the goal", *(f"{task} {nx}" for _, task, nx in cells))
     lines = "\n".join(table(head, shown))
     made, count = re.subn(

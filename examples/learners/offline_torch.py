@@ -3,7 +3,8 @@
     python examples/learners/offline_torch.py IQL knotgym/tie-nx2/varied-bench-v0 --out iql.pt
 
 Writes iql.pt, a state_dict, and iql.py, a policy: `knotgym evaluate --policy iql:act`, in the same
-folder. With `--action macro` it learns of macro-actions, such as those of the tiers `wander`.
+folder. With `--action macro` it learns of macro-actions, such as those of the tiers `wander`. While
+it trains, it plays the task of the set, and iql.curve has a plot of its success.
 
     BC       clones what was done; the goal is the episode's own
     GCBC     the same for a state that the episode reached later, NextBC for the next code it showed
@@ -19,7 +20,8 @@ import inspect
 import shlex
 import time
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,7 +38,8 @@ from torch.nn.functional import one_hot
 
 from knotgym.common import sha256
 from knotgym.datasets import columns_of
-from knotgym.loaders import GoalSampling, Transitions, Window, arrays
+from knotgym.learn import Trials
+from knotgym.loaders import GoalSampling, Transitions, Window, arrays, as_policy
 
 MODULE = """import numpy as np
 import torch
@@ -63,7 +66,7 @@ def predict(observations):
 
 act = as_policy(predict, action="{action}", observation="{observation}")
 """
-BATCH, RATE, DECAY = 128, 1e-3, 0.02
+BATCH, RATE, DECAY, TRIALS = 128, 1e-3, 0.02, 64
 DISCOUNT, EXPECTILE, POLYAK, GREED, WEIGHT, LARGEST = 0.98, 0.9, 0.01, 2.5, 1.0, 100.0
 SETTINGS = ("observation", "action", "updates", "width", "seed")
 SCRIPT = "examples/learners/offline_torch.py"
@@ -384,22 +387,24 @@ def load(given: Namespace, name: str) -> Batch:
     return own | more
 
 
-def train(learner: BC, data: Sequence[Batch], updates: int) -> None:
-    """Train a learner on a set for each of its `sets`."""
+def train(learner: BC, data: Sequence[Batch], updates: int) -> Iterator[tuple[int, Tensor]]:
+    """Train a learner on a set for each of its `sets`; yield the number and loss of each update."""
     trained = {id(one): one for network in learner.networks for one in network.parameters()}
     optimizer = torch.optim.AdamW(trained.values(), RATE, weight_decay=DECAY)
-    for _ in range(updates):
+    for update in range(1, updates + 1):
         batches = []
         for each in data:
             rows = torch.randint(len(each["beads"]), (BATCH,))
             batches.append({key: column[rows] for key, column in each.items()})
         optimizer.zero_grad()
-        learner.loss(*batches).backward()
+        loss = learner.loss(*batches)
+        loss.backward()
         optimizer.step()
         with torch.no_grad():
             for network, slow in learner.targets:
                 for new, old in zip(network.parameters(), slow.parameters(), strict=True):
                     old.lerp_(new, POLYAK)
+        yield update, loss.detach()
 
 
 def make(given: Namespace, sets: dict[str, Batch]) -> None:
@@ -415,30 +420,39 @@ def make(given: Namespace, sets: dict[str, Batch]) -> None:
             sets[one] = load(given, one)
     data = [sets[one] for one in made.sets]
     learner = made(kind, given.width, data[0]["observations"])
-    train(learner, data, given.updates)
+    opened = [columns_of(one) for one in given.datasets]
+    tasks = [replace(one.task, task=one.task.tasks[0], horizon=50) for one in opened]
+    trials, rows, played = Trials(tasks, TRIALS, given.seed), list[tuple[float, ...]](), 0.0
+    views = {"action": given.action, "observation": given.observation}
+    acting = torch.inference_mode()(lambda seen: learner.policy.act(torch.from_numpy(seen)).numpy())
+    every = getattr(given, "every", 0)
+    for update, loss in train(learner, data, given.updates):
+        if every and update % every == 0:
+            since = time.process_time()
+            learner.policy.eval()  # draws no random number of torch's
+            success = trials.success(as_policy(acting, **views))
+            learner.policy.train()
+            rows.append((update, loss.item(), success))
+            trials.draw(given.out.with_suffix(".curve"), ("loss",), rows)
+            print(f"update {update}: loss {loss:.3f}, success {100 * success:.0f} %", flush=True)
+            played += time.process_time() - since
     torch.save(learner.policy.state_dict(), given.out)
     settings = {name: getattr(given, name) for name in SETTINGS}
     options = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
-    opened = [columns_of(one) for one in given.datasets]
     card = {
         "learner": given.learner,
         "data": {part.name: sha256(part.path) for one in opened for part in one.parts or [one]},
         "parameters": sum(one.numel() for one in learner.policy.parameters()),
         **settings,
-        "seconds": round(time.process_time() - began, 1),
+        "seconds": round(time.process_time() - began - played, 1),
         "command": shlex.join(["python", SCRIPT, given.learner, *given.datasets, *options]),
     }
     policy = Field if isinstance(learner.policy, Field) else kind
     classes = "\n\n".join(map(inspect.getsource, dict.fromkeys((Network, Actor, kind, policy))))
     sizes = [str(data[0]["observations"].shape[1]), str(given.width)]
     words = [kind.__name__] * (policy is Field) + sizes
-    module = MODULE.format(
-        card=card,
-        action=given.action,
-        observation=given.observation,
-        classes=classes,
-        made=f"{policy.__name__}({', '.join(words)})",
-    )
+    call = f"{policy.__name__}({', '.join(words)})"
+    module = MODULE.format(card=card, classes=classes, made=call, **views)
     given.out.with_suffix(".py").write_text(module)
 
 
@@ -449,9 +463,9 @@ def main() -> None:
     goal = "what is seen of the goal: its code, or vertices that show it"
     parser.add_argument("--observation", choices=("marked", "state"), default="marked", help=goal)
     parser.add_argument("--action", choices=KINDS, default="decision")
-    parser.add_argument("--updates", type=int, default=600)
-    parser.add_argument("--width", type=int, default=128)
-    parser.add_argument("--seed", type=int, default=0)
+    for name, usual in (("updates", 600), ("width", 128), ("seed", 0)):
+        parser.add_argument(f"--{name}", type=int, default=usual)
+    parser.add_argument("--every", type=int, default=100, help="updates between trials; 0: none")
     parser.add_argument("--out", type=Path, required=True, help="file of weights")
     make(parser.parse_args(), {})
 

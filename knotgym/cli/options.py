@@ -19,6 +19,7 @@ import os
 import re
 import tomllib
 import types
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -342,10 +343,11 @@ def numbers(text: str, name: str = "--nx") -> tuple[int, ...]:
     for word in text.split(","):
         parts = re.fullmatch(r"\s*(\d{1,4})(?:-(\d{1,4}))?\s*", word, re.ASCII)
         if parts is None or int(parts[2] or parts[1]) < int(parts[1]):
-            raise InvalidInput(f"{name} takes whole numbers such as 3, 2,3 or 0-4, got {text!r}")
+            raise InvalidInput(f"{name} takes whole numbers such as 3, 2,3 or 0-4, got {word!r}")
         found += range(int(parts[1]), int(parts[2] or parts[1]) + 1)
     if len(set(found)) < len(found):
-        raise InvalidInput(f"{name} takes each number once, got {text!r}")
+        twice = Counter(found).most_common(1)[0][0]
+        raise InvalidInput(f"{name} takes each number once, got {twice} twice")
     return tuple(found)
 
 

@@ -168,7 +168,8 @@ class _Choice:
             use_plugins()  # may make it grow
         words = *self.known, *self.growing
         if value not in words:
-            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in words)}")
+            named = ", ".join(name or repr(name) for name in words)
+            raise InvalidInput(f"must be one of {named}{getattr(self.growing, 'more', '')}")
         return value
 
 
@@ -176,10 +177,14 @@ class Kinds(dict[str, Record], Generic[Record]):
     """A closed set: name -> the record that holds everything in which one of its kinds differs.
 
     Everybody looks up; nobody compares names. InvalidInput for a name that isn't there.
+
+    Attributes:
+        more: what an error adds of names that users can give to kinds of their own.
     """
 
-    def __init__(self, what: str, records: dict[str, Record]) -> None:
+    def __init__(self, what: str, records: dict[str, Record], more: str = "") -> None:
         super().__init__(records)
+        self.more = more
         self._what = what  # the field that names them, for the error
 
     def __missing__(self, name: Any) -> Record:

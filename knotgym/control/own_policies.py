@@ -52,11 +52,25 @@ _noted: list[set[str]] = []  # of `_opened`, what gets the files that are opened
 
 
 def own_policy(given: Any, name: str) -> SimplePolicy:
-    """Make a policy of a user's function, object or class; objects are copied for each episode.
+    """Make a policy of a user's `Policy`, model, function, object or class.
 
     Raises:
         InvalidPolicy: it doesn't have the signature of a policy.
     """
+    from knotgym.loaders import RowPolicy  # here, as few policies are models
+
+    if isinstance(given, RowPolicy):
+        action = VIEWS[given.action].acts_as or given.action
+        seen = {"observation": given.observation, "frame": given.frame, "action": action}
+        return SimplePolicy(name, partial(_RowPlayer, name, given), partial(replace, **seen))
+    if callable(getattr(given, "player", None)) and not inspect.isclass(given):
+
+        def _compatible_task(task: TaskConfig) -> TaskConfig:
+            with user_code(name):
+                found: TaskConfig = given.compatible_task(task)
+            return found
+
+        return SimplePolicy(name, partial(_GuardedPlayer, name, given), _compatible_task)
     reset_takes: int | None = None
     if inspect.isclass(given):
         with user_code(name):
@@ -151,22 +165,8 @@ def load(config: PolicyConfig) -> Policy:
     missing = InvalidPolicy.instead(f"no policy {name}", ImportError, AttributeError, SyntaxError)
     with user_code(name), missing, _module_of(name) as module:
         given = getattr(module, name.partition(":")[2])
-    from knotgym.loaders import RowPolicy  # here, as few policies are models
-
-    if isinstance(given, RowPolicy):
-        action = VIEWS[given.action].acts_as or given.action
-        seen = {"observation": given.observation, "frame": given.frame, "action": action}
-        return SimplePolicy(name, partial(_RowPlayer, name, given), partial(replace, **seen))
-    if not callable(getattr(given, "player", None)) or inspect.isclass(given):
-        with _noting(name):
-            return own_policy(given, name)
-
-    def _compatible_task(task: TaskConfig) -> TaskConfig:
-        with user_code(name):
-            found: TaskConfig = given.compatible_task(task)
-        return found
-
-    return SimplePolicy(name, partial(_GuardedPlayer, name, given), _compatible_task)
+    with _noting(name):
+        return own_policy(given, name)
 
 
 def files(name: str) -> dict[str, Path]:

@@ -58,13 +58,16 @@ def register_policy(family: PolicyFamily) -> None:
     _table[name] = family
 
 
-def make_policy(config: PolicyConfig) -> Policy:
-    """Make the policy of a configuration.
+def make_policy(config: Any) -> Policy:
+    """Make the policy of a PolicyConfig; or of what a user's module may hold, see `own_policies`.
 
     Raises:
         InvalidPolicy: the function or file doesn't exist, its library isn't installed, or what
             makes the policy raises anything else, SystemExit included.
     """
+    if not isinstance(config, PolicyConfig):
+        made: Policy = _later("own_policies:own_policy")(config, type(config).__name__)
+        return made
     with user_code(config.policy):
         return family_of(config.policy).make(config)
 

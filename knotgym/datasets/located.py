@@ -79,7 +79,9 @@ class Located(NamedTuple):
         if self.pictures:
             counts["pictures"] = len(read_table(self.pictures, columns=["nx"]))
         if self.states:
-            counts["Gauss codes"] = len(read_states(self.states, images=False))
+            states = read_states(self.states, images=False)
+            counts["Gauss codes"] = len(states)
+            counts["ropes of their points alone, not of a run"] = len(states) * (not states.source)
         for one in self.episodes:
             own = (whole := open_episodes(one)).drawn(sample).episodes.episodes
             counts["demonstrations" if self.states else "episodes"] += own.rows

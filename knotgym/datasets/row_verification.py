@@ -88,12 +88,14 @@ def _state_faults(states: States) -> Iterator[str]:
     sources = {SOURCES.get(name) for name in states.source.get("policy", ())}
     if all(one is not None and one.draws_actions for one in sources):
         needed.discard("source/actions")
+    if not states.source:  # nobody simulated them, see `States.from_points`
+        needed = {name for name in needed if not name.startswith("source/")}
     lacking = sorted(needed - {*states.table})
     yield from (f"states.h5: {name} is missing" for name in lacking)
     if states.qpos.shape[1] != rope.nq:
         yield f"states.h5: qpos has {states.qpos.shape[1]} numbers a row, should have {rope.nq}"
         return
-    replays = not any(name.startswith("source/") for name in lacking)
+    replays = states.source and not any(name.startswith("source/") for name in lacking)
     for first in range(0, len(states), _BATCH):
         rows = range(first, min(first + _BATCH, len(states)))
         ends = _replayed(states, rows, rope) if replays else None
@@ -119,13 +121,13 @@ def _folder_faults(folder: Path, replay: Replay, sample: int = 0) -> Iterator[st
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
     """
     manifest, faults = read_manifest(folder)
-    yield from faults
-    yield from listed_faults(folder, manifest)
     try:
         states = read_states(folder / "states.h5")
     except (InvalidFile, MissingFile) as error:
-        yield str(error)
+        yield from (*faults, *listed_faults(folder, manifest), str(error))
         return
+    yield from faults if states.source else ()
+    yield from listed_faults(folder, manifest)
     yield from _state_faults(states)
     for file in sorted(folder.glob(f"minari/**/{FILE}")):
         own = [*episode_faults(file, replay, sample=sample)]

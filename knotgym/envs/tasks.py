@@ -35,6 +35,7 @@ _READ = Mark("read")  # and is read by loaders, as looks are: the same in what i
 TASKS: Kinds[Callable[[int], tuple[int, int]]] = Kinds(
     "task",
     {"unknot": lambda nx: (nx, 0), "tie": lambda nx: (0, nx), "convert": lambda nx: (nx - 1, nx)},
+    " (register_task, or --plugin MODULE, adds others)",
 )
 
 

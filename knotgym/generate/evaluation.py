@@ -74,9 +74,9 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> runs.Rec
             name = f"episodes of setup {setup}{mark} {few.start}-{few.stop - 1}"
             calls.append(runs.Call(name, _play, (*one, few, config.seed, recorded), len(few)))
     films = [] if config.failures else [range(filmed)] * (filmed and len(setups))
-    calls += _films(setups, films, config.seed)
     rest = map(Episodes.of, (yield calls))
     played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
+    rest = map(Episodes.of, (yield _films(setups, films, config.seed)))
     if filmed and config.failures:
         missed = [np.flatnonzero(~one.episodes["success"])[:filmed].tolist() for one in played]
         if not any(missed):
@@ -95,7 +95,9 @@ def _films(
 ) -> list[runs.Call]:
     """Return the calls that play the episodes of each setup that are filmed, by their numbers."""
     return [
-        runs.Call(f"film {setup} {[*few]}", _play, (*one, few, seed, True), len(few))
+        runs.Call(
+            f"film {setup} {','.join(map(str, few))}", _play, (*one, few, seed, True), len(few)
+        )
         for setup, (one, few) in enumerate(zip(setups, films, strict=False), 1)
     ]
 

@@ -136,7 +136,7 @@ class GenerateConfig:
         if self.source in SOURCES and SOURCES[self.source].from_ropes:
             self._require_ropes()
         if max(self.nx) > (most := TaskConfig.most_nx(self.beads)):
-            raise InvalidInput(f"nx takes numbers of crossings from 0 to {most}, got {self.nx}")
+            raise InvalidInput(f"nx must be from 0 to {most}, got {max(self.nx)}")
         if self.beads != _BEADS and self.demonstrations:
             raise InvalidInput(
                 f"demonstrations are for a rope of {_BEADS} beads, got {self.beads};"

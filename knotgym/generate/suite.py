@@ -120,7 +120,7 @@ def _require_known(ids: Iterable[str], root: Path, progress: Progress) -> None:
                 values = _values(dataset)
                 other = f"has other values than the known {right[:16]}" if right else "isn't known"
                 said = one_line(faults[0]) if faults else "" if values == right else other
-                progress.say(f"{name}: {values}{f': {said}' * bool(said)}")
+                progress.say(f"{name}: {values}: {said or 'known'}")
             except KnotgymError as error:
                 said = one_line(error)
                 progress.say(f"{name}: {said}")

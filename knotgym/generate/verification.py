@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import knotgym
@@ -41,14 +42,8 @@ def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
         FileNotFoundError: there is nothing at `source`.
         MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
     """
-    root = resolve(os.fspath(source))
-    try:
-        entry = read_entry(root)
-    except InvalidFile as error:
-        return [str(error)]
-    if entry is None:
-        return [*faults(source, sample=sample)]
-    return [f"{root}: {fault}" for _, found in entry.recounted() for fault in found]
+    found = _recounted(resolve(os.fspath(source)))
+    return [*faults(source, sample=sample)] if found is None else found
 
 
 def faults(
@@ -67,6 +62,16 @@ def faults(
     for path in found.episodes if clean else ():
         opened = open_episodes(path)
         yield from (f"{opened.path}: {fault}" for fault in _metadata_faults(opened))
+        yield from _recounted(opened.path) or ()
+
+
+def _recounted(path: Path) -> list[str] | None:
+    """Return the faults of an entry, played from where its seeds begin; None if it isn't one."""
+    try:
+        entry = read_entry(path)
+    except InvalidFile as error:
+        return [str(error)]
+    return entry and [f"{path}: {fault}" for _, own in entry.recounted() for fault in own]
 
 
 def claims(dataset: EpisodeDataset) -> set[str]:

@@ -8,7 +8,7 @@ same weights.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -18,9 +18,11 @@ from torch import Tensor
 from knotgym.common import Stream
 from knotgym.learn.card import CLONE
 from knotgym.learn.clone_network import CloneNetwork, inputs
+from knotgym.learn.clone_policy import ClonePolicy
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Trained, Training
 from knotgym.learn.training_data import Examples
+from knotgym.learn.trials import Trials
 
 # Settings once, and constants since none was worth more than chance (notes/experiments.md).
 _DECAY = 0.05  # of the weights
@@ -29,27 +31,25 @@ _HELD_OUT = 0.1  # share of the episodes
 _TRIALS = 10  # of a training, about
 _JUDGED = 2048  # held-out decisions on which weights are judged, at most
 
-Trial = Callable[[CloneNetwork], float]  # plays a network; returns its success rate
-
 
 class CloneTraining(Training):
     """A clone in training.
 
-    Every `save_every` steps the averaged weights are judged; `losses` are the mean training loss
-    since the last time, and the held-out loss. About ten times the averaged weights are played by
-    `trial`, which returns a success rate.
+    About ten times the averaged weights play the trials. Then, and every `save_every` steps, they
+    are judged: `losses` are the mean training loss since the last time, and the held-out loss.
+    Weights of multiples of `save_every` steps may be kept.
     """
 
     LEARNER, NAME, LOSSES = CLONE, "clone", ("training", "held_out")
     network: CloneNetwork
 
-    def __init__(self, config: CloneConfig, data: Examples, trial: Trial | None = None) -> None:
+    def __init__(self, config: CloneConfig, data: Examples, trials: Trials) -> None:
         """Begin a training on examples."""
-        self._trial = trial
         torch.manual_seed(config.seed)
         network = CloneNetwork(config.width, config.layers).to(config.device)
         super().__init__(network, config.rate, _DECAY, config.steps)
-        self._config, held = config, _held_out(data.episodes, config.seed)
+        self._config, self._trials = config, trials
+        held, self._apart = (_held_out(data.episodes, config.seed), -(-config.steps // _TRIALS))
         aside, fitted = np.flatnonzero(held), np.flatnonzero(~held)
         self._fitted = _tensors(data, fitted, config.device)
         # evenly spread over the held-out decisions, so that every episode counts
@@ -69,10 +69,11 @@ class CloneTraining(Training):
         return {**super()._parts(), **own}
 
     def _advance(self) -> None:
-        """Train up to the next multiple of `save_every` steps; then judge the averaged weights."""
+        """Train up to the next row of the learning curve; then judge the averaged weights."""
         config, losses = self._config, list[Tensor]()
         self.network.train()
-        for _ in range(min(config.save_every, config.steps - self.step)):
+        ahead = (n - self.step % n for n in (config.save_every, self._apart))
+        for _ in range(min(config.steps - self.step, *ahead)):
             # a stream for each step, so that a resumed training draws what it would have drawn
             rng = Stream.LEARN_CLONE.generator(config.seed, self.step)
             rows = rng.integers(len(self._fitted[-1]), size=config.batch)
@@ -90,23 +91,29 @@ class CloneTraining(Training):
             with torch.no_grad():
                 judged = _loss(self._made(self._average), self._aside).item()
         # early stopping without stopping: the weights are kept, the training goes on
-        if judged < self._least.item():
+        if self._is_due(self.step) and judged < self._least.item():
             self._least.fill_(judged)
             self._best = _copied(self._average)
         mean, success = torch.stack(losses).mean().item(), math.nan
-        apart = config.save_every * -(-config.steps // (_TRIALS * config.save_every))
-        if self._trial and (self.step % apart == 0 or self.step == config.steps):
-            success = self._trial(self._made(self._average).cpu())
+        due = self.step % self._apart == 0 or self.step == config.steps
+        if config.trials and due:
+            policy = ClonePolicy(self._made(self._average).cpu(), config.guided)
+            success = self._trials.success(policy)
         self.losses.append((self.step, mean, judged, success))
 
     def _ended(self) -> Trained:
         """Return the network with the averaged weights of least held-out loss."""
-        step, _, loss, _ = min(self.losses, key=lambda row: row[2])
+        rows = (row for row in self.losses if self._is_due(row[0]))
+        step, _, loss, _ = min(rows, key=lambda row: row[2])
         kept, steps = int(step), self._config.steps
         early = "; later steps fit only the training episodes" if kept < steps else ""
         summary = f"kept step {kept} of {steps}, held-out loss {loss:.2f}{early}"
         facts = {"kept_step": kept, "held_out_loss": loss, **self._facts}
         return Trained(self._made(self._best).cpu(), facts, summary, kept)
+
+    def _is_due(self, step: float) -> bool:
+        """Return whether the weights of a step may be kept."""
+        return step % self._config.save_every == 0 or step == self._config.steps
 
     def _made(self, weights: dict[str, Tensor]) -> CloneNetwork:
         network = CloneNetwork(self._config.width, self._config.layers).to(self._config.device)

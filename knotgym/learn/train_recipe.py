@@ -5,7 +5,6 @@ them; a training that is interrupted continues from its one checkpoint.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,20 +13,18 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common import InvalidInput, Stream, Table, by_name, sha256
-from knotgym.control import rollouts
+from knotgym.common import InvalidInput, Table, by_name, sha256
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.envs import TaskConfig
 from knotgym.learn.card import CARD
 from knotgym.learn.checkpoint import save_network
-from knotgym.learn.clone_network import CloneNetwork
-from knotgym.learn.clone_policy import ClonePolicy
-from knotgym.learn.clone_training import CloneTraining, Trial
+from knotgym.learn.clone_training import CloneTraining
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
-from knotgym.learn.training import Log, Training, draw_curve, fit
+from knotgym.learn.training import Log, Training, fit
 from knotgym.learn.training_data import TOGETHER, Examples, TrainingData, demonstrate
+from knotgym.learn.trials import Trials
 from knotgym.rope import CHAIN, RopeConfig
 from knotgym.runs import Call, Progress, Recipe, RunOptions, identity, run
 
@@ -92,10 +89,11 @@ def train(
     }
 
     def _recipe(place: Path) -> Recipe[str]:
-        training = yield from _training(opened, config)
+        trials = Trials(_tasks(opened, config), config.trials, config.seed)
+        training = yield from _training(opened, config, trials)
         made = fit(training, place, config.save_every, progress, log)
         save_network(place, made.network, training.LEARNER, {**card, **made.facts}, made.others)
-        draw_curve(place, training.LOSSES, training.losses, made.kept)
+        trials.draw(place, training.LOSSES, training.losses, made.kept)
         return made.summary
 
     compiles = {"engine": CHAIN} if demonstrations else None
@@ -140,7 +138,7 @@ def _trained_on(
 
 
 def _training(
-    opened: Sequence[EpisodeDataset], config: ReaderConfig | CloneConfig
+    opened: Sequence[EpisodeDataset], config: ReaderConfig | CloneConfig, trials: Trials
 ) -> Recipe[Training]:
     """Return the training of a learner, with what it is trained on."""
     if isinstance(config, ReaderConfig):
@@ -170,23 +168,16 @@ def _training(
     data = Examples(*(np.concatenate(own) for own in zip(*parts, strict=True)))
     if not data.worked.any():
         raise InvalidInput("no episode reached its goal, so there is nothing to imitate")
-    return CloneTraining(config, data, _trial(opened, config) if config.trials else None)
+    return CloneTraining(config, data, trials)
 
 
-def _trial(opened: Sequence[EpisodeDataset], config: CloneConfig) -> Trial:
-    """Return what plays a network in episodes of the train split that no dataset has."""
-    shared: dict[str, Any] = {"split": config.split, "states": config.states, "engine": CHAIN}
-    tasks = [replace(one.task, observation="state", endless=False) for one in opened] or [
-        TaskConfig(task=task, nx=nx, observation="state", **shared)
+def _tasks(
+    opened: Sequence[EpisodeDataset], config: ReaderConfig | CloneConfig
+) -> list[TaskConfig]:
+    """Return the tasks of the datasets, or of the demonstrations if there are none."""
+    if opened or isinstance(config, ReaderConfig):
+        return [one.task for one in opened]
+    return [
+        TaskConfig(task=task, nx=nx, split=config.split, states=config.states, engine=CHAIN)
         for task, nx in product(config.task, config.nx)
     ]
-    numbers = [range(config.trials)[k :: len(tasks)] for k in range(len(tasks))]
-
-    def _rate(network: CloneNetwork) -> float:
-        policy, won = ClonePolicy(network, config.guided), 0
-        for task, few in zip(tasks, numbers, strict=True):
-            seeds = [Stream.LEARN_TRIAL.derived_seed(config.seed, number) for number in few]
-            won += int(rollouts(policy, task, seeds).episodes["success"].sum())
-        return won / config.trials
-
-    return _rate

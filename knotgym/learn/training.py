@@ -7,29 +7,24 @@ After a change run `pytest tests/learn/test_training.py`: an interrupted trainin
 same weights.
 """
 
-import csv
 import hashlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
 import torch
-from PIL import Image, ImageDraw
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knotgym.common import Array, InvalidFile, atomic_write, one_line, require_regular
+from knotgym.common import InvalidFile, atomic_write, one_line, require_regular
 from knotgym.runs import Progress, checkpoint_of
 
 # chosen without comparison; learners that exist don't depend on them, their scores in
 # docs/benchmark.md are of these
 _WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of the peak at the end
-_CURVE_ROWS = 100  # of a learning curve, at most
-
 
 Log = Callable[[int, dict[str, float]], None]  # takes a step, and values by name
 
@@ -177,87 +172,3 @@ def fit(
         if training.step % save_every == 0 or training.step == training.steps:
             training._save(path)
     return training._ended()
-
-
-def draw_curve(
-    out: Path, names: tuple[str, str], curve: Sequence[Iterable[float]], kept: int | None = None
-) -> None:
-    """Write two losses and success rates to `training.csv`, and plot them in `curve.png`.
-
-    Args:
-        out: folder.
-        names: of the losses.
-        curve: step, both losses and success rate, at least one row; many are averaged in groups.
-        kept: the step whose weights are kept.
-    """
-    rows = np.array(curve, dtype=np.float64)
-    # at most _CURVE_ROWS groups of neighbouring rows, each shown by its mean
-    groups = np.array_split(rows, range(0, len(rows), -(-len(rows) // _CURVE_ROWS))[1:])
-    rows = np.array([[own[-1, 0], *own[:, 1:3].mean(axis=0), _mean(own[:, 3])] for own in groups])
-    with atomic_write(out / "training.csv") as part, part.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("step", *names, "success"))
-        writer.writerows([int(row[0]), *row[1:].round(5).tolist()] for row in rows)
-    with atomic_write(out / "curve.png") as part:
-        _plot(names, rows, kept).save(part, "PNG")
-
-
-def _mean(values: Array) -> float:
-    """Return the mean of the values that are known, NaN if none is."""
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else math.nan
-
-
-def _plot(names: tuple[str, str], rows: Array, kept: int | None) -> Image.Image:
-    """Plot two losses and success rates against steps, with axes, ticks and a legend."""
-    width, height, left, right, top, bottom = 720, 420, 64, 656, 48, 368
-    image = Image.new("RGB", (width, height), "white")
-    draw = ImageDraw.Draw(image)
-    steps, most = float(rows[-1, 0]), max(float(rows[:, 1:3].max()), 1e-9)
-
-    def _at(step: float, loss: float) -> tuple[float, float]:
-        return left + step / steps * (right - left), bottom - loss / most * (bottom - top)
-
-    def _write(text: str, x: float, y: float, anchor: str) -> None:
-        draw.text((x, y), text, "black", anchor=anchor, font_size=13)
-
-    for tick in _ticks(most):
-        draw.line([_at(0, tick), _at(steps, tick)], "#e1e1e1")
-        _write(f"{tick:g}", left - 8, _at(0, tick)[1], "rm")
-    for tick in _ticks(steps):
-        draw.line([_at(tick, 0), (_at(tick, 0)[0], bottom + 5)], "black")
-        _write(f"{tick:g}", _at(tick, 0)[0], bottom + 8, "mt")
-    draw.line([(left, top), (left, bottom), (right, bottom)], "black")
-    _write("loss", left, top - 8, "mb")
-    _write("optimizer step", (left + right) / 2, height - 8, "mb")
-    legend = [(names[0], "#1f77b4"), (names[1], "#ff7f0e")]
-    if len(played := rows[~np.isnan(rows[:, 3])]):
-        points = [_at(step, rate * most) for step, rate in played[:, [0, 3]].tolist()]
-        draw.line(points, "#2ca02c", 2)
-        for x, y in points:
-            draw.ellipse((x - 3, y - 3, x + 3, y + 3), "#2ca02c")
-        for share in (0, 0.5, 1):  # the axis on the right
-            _write(f"{100 * share:.0f} %", right + 8, _at(0, share * most)[1], "lm")
-    for column, (_, ink) in enumerate(legend, 1):
-        draw.line([_at(*point) for point in rows[:, [0, column]].tolist()], ink, 2)
-    if len(played):
-        legend.append(("success", "#2ca02c"))
-    if kept is not None:
-        draw.line([_at(kept, 0), (_at(kept, 0)[0], top)], "#787878")
-        legend.append((f"kept weights: step {kept}", "#787878"))
-    for number, (name, ink) in enumerate(legend):
-        x = left + 50 + 140 * number
-        draw.line([(x, top - 15), (x + 24, top - 15)], ink, 2)
-        _write(name.replace("_", "-"), x + 32, top - 15, "lm")
-    return image
-
-
-def _ticks(most: float) -> list[float]:
-    """Return round numbers from 0 to `most`, at most six and at least three of them.
-
-    >>> _ticks(3000), _ticks(0.7)
-    ([0.0, 1000.0, 2000.0, 3000.0], [0.0, 0.2, 0.4, 0.6])
-    """
-    power = 10.0 ** math.floor(math.log10(max(most, 1e-9)))
-    step = next(one * power for one in (0.2, 0.5, 1, 2) if most < 6 * one * power)
-    return [round(k * step, 12) for k in range(int(most / step + 1e-9) + 1)]

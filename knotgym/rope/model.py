@@ -18,7 +18,7 @@ raise the format in _PUBLISHED: shipped states and recordings are refused until 
 import hashlib
 import json
 from dataclasses import asdict, fields, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -107,6 +107,7 @@ class RopeConfig:
             )
 
     @classmethod
+    @cache  # each batch of episodes asks several times
     def of(cls, beads: int) -> "RopeConfig":
         """Return the rope of so many beads of the usual length; 200 of them make 2.66 m.
 

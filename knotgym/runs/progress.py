@@ -22,6 +22,7 @@ from knotgym.common import Counts
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 _NONE: Mapping[str, object] = {}
 _console = partial(Console, emoji=False, markup=False)  # names of others are shown as they are
+_WORTH_SAYING = 5.0  # CPU seconds of a command
 _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
 
 
@@ -30,7 +31,8 @@ class Progress:
 
     While it is entered, it shows what `common.Counts` counts. If there is no terminal, plain lines
     are printed on standard error: with `lines` from the first moment, else after ten seconds.
-    Whatever takes longer than that is named every ten seconds, even if nothing is done meanwhile.
+    Whatever takes longer than that is named every ten seconds, even if nothing is done meanwhile; a
+    stage with an estimate once, and once more when that is over.
     `clock` returns seconds.
     """
 
@@ -63,7 +65,7 @@ class Progress:
         )
         self._bars.add_task("starting", total=None, facts="")
         self._task = self._bars.tasks[0]
-        self._clock, self._began = clock, clock()
+        self._clock, self._began, self._used = clock, clock(), time.process_time()
         self._done: Callable[[], int] | None = None  # how many items of the stage are done by now
         self._facts: Mapping[str, object] = _NONE
         self._ends: float | None = None  # when the stage is over, about
@@ -97,7 +99,8 @@ class Progress:
             if not (self._lines or self._waits):
                 self._recount()
             elif self._clock() - self._told >= _LINE_EVERY:
-                self._tell(self._line())
+                if self._ends is None or self._told < self._ends <= self._clock():
+                    self._tell(self._line())
 
     def _recount(self) -> None:
         """Read how far the stage is by now."""
@@ -128,10 +131,10 @@ class Progress:
             self.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def say_seconds(self) -> None:
-        """Print the CPU time so far if workers had a share, which `time` leaves out."""
-        if Counts.worker_seconds and not self.quiet:
-            total = time.process_time() + Counts.worker_seconds
-            line = f"{total:.0f} CPU seconds, workers included"
+        """Print the CPU time so far, with that of workers, which `time` leaves out."""
+        total = time.process_time() + Counts.worker_seconds
+        if total - self._used >= _WORTH_SAYING and not self.quiet:
+            line = f"{total:.0f} CPU seconds{', workers included' * bool(Counts.worker_seconds)}"
             self._printed.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _tell(self, line: str) -> None:

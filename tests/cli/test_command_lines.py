@@ -119,7 +119,10 @@ REFUSED = [
     ("evaluate --episodes 100000000000000000000000000", "episodes must be at most 1000000000"),
     ("collect --episodes -1", "episodes must be above 0, got -1"),
     ("collect --set task.beads=1001", "task.beads must be at most 1000, got 1001"),
-    ("collect --task plait", "must be one of unknot, tie, convert or a list, got 'plait'"),
+    ("collect --task plait", "or --plugin MODULE, adds others) or a list, got 'plait'"),
+    (f"generate --nx 1,0-9999{',' * 2000}", "takes whole numbers such as 3, 2,3 or 0-4, got ''\n"),
+    ("evaluate --nx 1,0-9999", "--nx takes each number once, got 1 twice\n"),
+    ("generate --nx 0-9999", "nx must be from 0 to 11, got 9999\n"),
     ("collect --resume --restart", "give only one of them"),
     ("collect --set run.scheduler=tcp://a:1 --workers 2", "--workers 2 is for local processes"),
     ("collect --set task.appearance=photo --set task.depth=true", "without depth and not drawn"),
@@ -237,7 +240,7 @@ def test_a_plugin_registers_a_task_in_every_process(tmp_path: Path) -> None:
     made = "collect --task loosen --nx 2 --policy random --engine chain --episodes 2 --workers 2"
     for words, installed, said in (
         (f"{made} --out root --plugin loosen", False, "2 episodes"),
-        ("dataset verify root", False, "must be one of unknot, tie, convert or a list, got 'loo"),
+        ("dataset verify root", False, "adds others) or a list, got 'loo"),
         ("dataset verify root --plugin loosen", False, "no faults"),
         ("dataset verify root --plugin loosen.py", False, "plugin loosen.py can't be imported"),
         ("dataset verify root", True, "no faults"),

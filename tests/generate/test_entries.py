@@ -11,12 +11,12 @@ import pytest
 from pytest_types import Capture, Patch
 from rich.console import Console
 
-from knotgym.common import InvalidFile, KnotgymError, Table
-from knotgym.control import PolicyConfig
+from knotgym.common import InvalidFile, KnotgymError, Stream, Table
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import EpisodeDataset, Episodes, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, compare, evaluate, read_entry, verify
-from knotgym.generate.entries import Entry
+from knotgym.generate.entries import Entry, write_entry
 from knotgym.generate.results import Result
 from knotgym.runs import RunOptions
 
@@ -214,6 +214,18 @@ def test_one_byte_changed_is_refused_or_without_effect(made: Made, tmp_path: Pat
         for one, other in zip(entry.setups, whole.setups, strict=True):
             assert other.differences(one) == []
     assert refused > 100
+
+
+def test_an_entry_in_a_folder_begins_as_its_seeds_say(tmp_path: Path) -> None:
+    config = replace(CONFIG, policies=(PolicyConfig(policy="random"),))
+    (policy, task), seed = next(config.setups()), Stream.EVALUATION_EPISODE.derived_seed
+    own = rollouts(make_policy(policy), task, [seed(config.seed, k) for k in range(EPISODES)])
+    starts = own.episodes.replaced(start_qpos=own.episodes["start_qpos"] + 1e-6)
+    file = tmp_path / "mine-v0/data/episodes.h5"
+    file.parent.mkdir(parents=True)
+    moved = rollouts(make_policy(policy), task, starts)  # from noise that no seed draws
+    write_entry(file, config, [moved], [{"action": "pull"}])
+    assert verify(file) and verify(file.parents[1])
 
 
 def test_an_entry_is_a_dataset(made: Made, tmp_path: Path) -> None:

@@ -160,7 +160,7 @@ def test_a_set_is_the_known_one_or_says_what_it_is(
     assert knotgym(*words) == 1 and "isn't known" in capsys.readouterr().out
     file = tmp_path / name / "data" / "episodes.h5"
     known[name] = {"steps": 60, "values": module._values(open_episodes(file))}
-    assert knotgym(*words) == 0
+    assert knotgym(*words) == 0 and capsys.readouterr().out.endswith(": known\n")
     for one in (file, file.with_name("main_data.hdf5")):
         whole = one.read_bytes()
         with h5py.File(one, "r+") as opened:

@@ -85,7 +85,7 @@ def test_a_learner_that_plays_while_it_trains_learns_the_same(
     train([data], out, replace(CLONE, trials=2), log=lambda *row: logged.append(row))
     assert weights(out) == weights(clone)
     curve = np.genfromtxt(out / "training.csv", delimiter=",", names=True)
-    assert set(curve["success"]) <= {0.0, 0.5, 1.0} and [step for step, _ in logged] == [2, 4]
+    assert set(curve["success"]) <= {0.0, 0.5, 1.0} and [step for step, _ in logged] == [1, 2, 3, 4]
     assert {*logged[0][1]} == {"training", "held_out", "success"}
 
 

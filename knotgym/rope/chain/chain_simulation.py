@@ -61,7 +61,7 @@ class ChainSimulation(Simulation):
         self._physics = _physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
-        self.set_qpos(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
+        self.set_qpos(self.rope.qpos(self.rope.loop()))
 
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
@@ -81,16 +81,16 @@ class ChainSimulation(Simulation):
         self.points[where] = self._states[where, :, POSITION]
 
     def set_qpos(self, qpos: ArrayLike, ids: Ids = None) -> None:
-        """Reset ropes to rest at generalized positions float64 (len(ids), nq).
+        """Reset ropes to rest at generalized positions float64 (len(ids), nq), or all at (nq,).
 
         A gap between two sub-chains is closed: vertices near it move by less than the gap.
         """
         where = self._all(ids)
-        rows = np.broadcast_to(qpos, (len(where), self.rope.nq))
-        states = np.zeros((len(where), *self._states.shape[1:]))
+        rows = np.reshape(qpos, (-1, self.rope.nq))
+        states = np.zeros((len(rows), *self._states.shape[1:]))
         states[:, :, POSITION] = self._with_lengths(self.rope.points(rows))
         states[:, :, SIDE] = _sides(self.rope, rows, states[:, :, POSITION])
-        self.restore(states, where)
+        self.restore(np.broadcast_to(states, (len(where), *states.shape[1:])), where)
 
     def set_points(self, points: Array, velocities: Array, ids: Ids = None) -> None:
         """Lay ropes along curves whose edges are about as long as the beads.
