@@ -73,13 +73,16 @@ def drawn(name: str, count: int) -> Iterator[Known]:
         ):
             continue
         picture, code = shot.image, None if kind.bare else shot.code
+        if code and shot.others:  # pieces of other ropes, which a person sees as well
+            more = len(shot.others)
+            code = RopesCode(code.visits + ((),) * more, code.closed + (False,) * more)
         if kind.bare:  # a part without any rope
             row, column = rng.integers(0, 160, 2)
             window = slice(row, row + 96), slice(column, column + 96)
             if np.pad(shot.strands, 12)[row : row + 120, column : column + 120].any():
                 continue
             picture = picture[window]
-        closed = not shot.ropes and code is not None
+        closed = code is not None and all(code.closed)
         yield f"{name} {count}", picture, code, closed, code.nx if code else 0
         count -= 1
 

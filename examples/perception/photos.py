@@ -35,12 +35,13 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from knotgym.datasets import decode
 from knotgym.learn import load_rope_reader, save_rope_reader
-from knotgym.photos import StrandNetwork, photograph
+from knotgym.photos import PhotoReading, StrandNetwork, photograph
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 from knotgym.topology import GaussCode, RopesCode, Symmetry, canonical, find_ropes_crossings, label
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
+PARTS = 4  # pictures that are in the network at once
 Array = NDArray[np.float64]
 Example = tuple[NDArray[np.uint8], Array, Array]  # picture, and the targets of `strand_loss`
 
@@ -52,7 +53,7 @@ def read(given: argparse.Namespace) -> None:
     for row in shown_rows(given.folder, given.split, given.count):
         code, image = GaussCode.parse(row["gauss_code_chiral"]), decode(row["image"])
         found = reader.read(image, given.views)
-        right = found.code is not None and found.code.smallest() == RopesCode.of(code).smallest()
+        right = is_read(found, code)
         factors = {**row["appearance"], **(row.get("photo") or {})}
         numbers = {name: one for name, one in factors.items() if isinstance(one, int | float)}
         known = {"nx": code.nx, "right": right, "accepted": row["accepted"]}
@@ -84,6 +85,15 @@ def read(given: argparse.Namespace) -> None:
         page(missed, given.page)
 
 
+def is_read(found: PhotoReading, code: GaussCode) -> bool:
+    """Return whether one closed rope was read, with this code, and no crossing of other ropes."""
+    closed = [k for k, one in enumerate(found.ropes) if one.closed]
+    if found.code is None or len(closed) != 1 or found.crossings != code.nx:
+        return False
+    own = RopesCode.of(found.code.rope(closed[0]))
+    return own.smallest() == RopesCode.of(code).smallest()
+
+
 def share(rows: list[dict[str, Any]]) -> float:
     return 100 * sum(row["right"] for row in rows) / max(1, len(rows))
 
@@ -106,7 +116,7 @@ def train(given: argparse.Namespace) -> None:
         },
         strict=bool(start),
     )
-    mean = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(0.98))
+    mean = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(0.99))
     optimizer = torch.optim.AdamW(network.parameters(), lr=given.rate, weight_decay=1e-4)
     step, spent, parts = 0, 0.0, {"network": network, "mean": mean, "optimizer": optimizer}
     if begun.exists():
@@ -116,7 +126,7 @@ def train(given: argparse.Namespace) -> None:
             part.load_state_dict(kept[name])
     given.out.mkdir(parents=True, exist_ok=True)
     # statistics of few pictures are noise: those of weights that exist are kept
-    network.train(not start)
+    network.train(not start).to(memory_format=torch.channels_last)
     last = time.process_time()
     while (done := spent / (60 * given.minutes)) < 1:
         for group in optimizer.param_groups:
@@ -128,9 +138,13 @@ def train(given: argparse.Namespace) -> None:
             *(example(ropes, first + k, given.new) for k in range(given.batch)), strict=True
         )
         image, *true = (torch.from_numpy(np.stack(part)).to(given.device).float() for part in drawn)
-        loss = strand_loss(network, image.permute(0, 3, 1, 2), *true)
+        pictures, total = image.permute(0, 3, 1, 2), 0.0
         optimizer.zero_grad()
-        loss.backward()
+        for few in torch.arange(given.batch).split(PARTS):  # fewer at once fit into the caches
+            loss = strand_loss(network, pictures[few], *(one[few] for one in true))
+            loss = loss * (len(few) / given.batch)
+            loss.backward()
+            total += loss.item()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
         optimizer.step()
         mean.update_parameters(network)
@@ -138,7 +152,7 @@ def train(given: argparse.Namespace) -> None:
         now = time.process_time()
         spent, last = spent + now - last, now
         if step % given.every == 0 or spent > 60 * given.minutes:
-            print(f"{spent:6.0f} CPU s  step {step}  loss {loss.item():.3f}", flush=True)
+            print(f"{spent:6.0f} CPU s  step {step}  loss {total:.3f}", flush=True)
             kept = {name: part.state_dict() for name, part in parts.items()}
             torch.save({**kept, "step": step, "spent": spent}, given.out / "new.pt")
             (given.out / "new.pt").replace(begun)
@@ -153,58 +167,81 @@ def held_out(code: GaussCode) -> bool:
 def example(ropes: list[Array], number: int, new: float) -> Example:
     """Draw a photo of a random rope, with heights switched in every other one.
 
-    A share `new` has look phone; of these pictures some are cut to another shape, with the
-    colour of their border around them, as the reader puts pictures into a square.
+    A share `new` has look phone; a third of these are drawn until they have a flat crossing, some
+    are cut to another shape, with the colour of their border around them, as the reader puts
+    pictures into a square, and some are enlarged, as it looks at thin ropes.
     """
     rng = np.random.default_rng(number)
-    phone, several = rng.random() < new, rng.random() < 0.35
+    phone, several, flat = rng.random() < new, rng.random() < 0.35, rng.random() < 0.33
     config = AppearanceConfig(
-        look="phone" if phone else "table", ropes=(2, 3, 4) if several else (1,), open=0.6
-    )
+        look="phone" if phone else "table", ropes=(2, 3, 4) if several else (1,), open=0.6,
+        cropped=0.45,
+    )  # fmt: skip
+    tries = 4 if phone and flat else 1
     while True:
         rope = ropes[rng.integers(len(ropes), size=2).max()] * (1.0, 1.0, rng.choice((-1.0, 1.0)))
         shot = photograph(rope, SIDE, rng, config=config)
-        if shot is not None and shot.code.nx <= MOST and (shot.code.nx or rng.random() < 0.3):
+        if shot is None or shot.code.nx > MOST or (not shot.code.nx and rng.random() < 0.7):
+            continue
+        whole = shot.line.astype(np.float64)
+        whole[:, 2] *= shot.look.scale
+        lines = shot.ropes or [whole]
+        met = find_ropes_crossings([one * (1.0, -1.0, 1.0) for one in lines], not shot.ropes)
+        points, crossings, sines = np.concatenate(lines), np.zeros((MOST, 5)), [1.0]
+        for k in range(len(met.sign)):
+            over, under = (
+                points[(place + 1) % len(points)] - points[place]
+                for place in (int(met.over_place[k]), int(met.under_place[k]))
+            )
+            twice = 2 * np.arctan2(over[1], over[0])
+            crossings[k] = *(met.position[k] * (1, -1)), np.cos(twice), np.sin(twice), 1
+            cross = over[0] * under[1] - over[1] * under[0]
+            sines.append(abs(cross) / np.hypot(*over[:2]) / np.hypot(*under[:2]))
+        tries -= 1
+        if tries <= 0 or min(sines) < 0.5:
             break
-    whole = shot.line.astype(np.float64)
-    whole[:, 2] *= shot.look.scale
-    lines = shot.ropes or [whole]
-    met = find_ropes_crossings([one * (1.0, -1.0, 1.0) for one in lines], not shot.ropes)
-    points, crossings = np.concatenate(lines), np.zeros((MOST, 5))
-    for k, place in enumerate(met.over_place[:MOST].astype(int)):
-        step = points[(place + 1) % len(points)] - points[place]
-        twice = 2 * np.arctan2(step[1], step[0])
-        crossings[k] = *(met.position[k] * (1, -1)), np.cos(twice), np.sin(twice), 1
-    image, line = shot.image, evenly([one[:, :2] for one in lines], not shot.ropes)
-    if phone and rng.random() < 0.4:
-        image, low, high = image.copy(), np.zeros(2), np.full(2, SIDE)
+    drawn = [(one[:, :2], not shot.ropes) for one in lines] + [(one, False) for one in shot.others]
+    image, line = shot.image, evenly(drawn)
+    if not phone or (cut := rng.random()) > 0.5:
+        return image, line, crossings
+    low, high, places = np.zeros(2), np.full(2, SIDE), (line, crossings)
+    if cut < 0.2:
+        part = SIDE / rng.uniform(1.2, 2.0)
+        low = np.floor(rng.uniform(0, SIDE - part, 2))
+        zoom = np.array([[SIDE / part, 0.0, 0.0], [0.0, SIDE / part, 0.0]])
+        zoom[:, 2] = zoom[0, 0] * (0.5 - low) - 0.5
+        image = cv2.warpAffine(image, zoom, (SIDE, SIDE))
+        for found in places:
+            found[:, :2] = (found[:, :2] - low) * zoom[0, 0]
+        low = np.zeros(2)
+    else:
         axis, share = rng.integers(2), rng.uniform(0.55, 1.0)
         low[axis] = rng.uniform(0, 1 - share) * SIDE
         high[axis] = low[axis] + share * SIDE
         at = np.arange(SIDE) + 0.5
         x, y = ((low[k] <= at) & (at < high[k]) for k in range(2))
-        inside = y[:, None] & x
-        edge = inside & ~cv2.erode(inside.view(np.uint8), np.ones((3, 3)), borderValue=0).astype(
-            bool
-        )
-        image[~inside] = np.median(image[edge], axis=0)
-        for found in (line, crossings):
-            found[:, -1] *= np.all((low <= found[:, :2]) & (found[:, :2] < high), axis=1)
+        inside = (y[:, None] & x).view(np.uint8)
+        edge = (inside > 0) & (cv2.erode(inside, np.ones((3, 3)), borderValue=0) == 0)
+        image = np.where(inside[..., None], image, np.median(image[edge], axis=0).astype(np.uint8))
+    for found in places:
+        found[:, -1] *= np.all((low <= found[:, :2]) & (found[:, :2] < high), axis=1)
     return image, line, crossings
 
 
-def evenly(lines: list[Array], closed: bool) -> Array:
-    """Return PLACES places (x, y, joined to the next), evenly along lines (n, 2)."""
-    lines = [np.concatenate([one, one[:1]]) if closed else one for one in lines]
-    lengths = [np.hypot(*np.diff(one, axis=0).T) for one in lines]
+def evenly(lines: list[tuple[Array, bool]]) -> Array:
+    """Return PLACES places (x, y, joined to the next), evenly along lines (n, 2), closed or not."""
+    paths = [np.concatenate([one, one[:1]]) if closed else one for one, closed in lines]
+    lengths = [np.hypot(*np.diff(one, axis=0).T) for one in paths]
     stops = np.rint(
         np.cumsum([0, *(one.sum() for one in lengths)]) / sum(map(sum, lengths)) * PLACES
     )
     found = []
-    for line, steps, count in zip(lines, lengths, np.diff(stops).astype(int), strict=True):
+    for (_, closed), path, steps, count in zip(
+        lines, paths, lengths, np.diff(stops).astype(int), strict=True
+    ):
         at = np.linspace(0, steps.sum(), count, endpoint=not closed)
         walked = np.append(0.0, np.cumsum(steps))
-        own = np.stack([np.interp(at, walked, line[:, k]) for k in range(2)], axis=1)
+        own = np.stack([np.interp(at, walked, path[:, k]) for k in range(2)], axis=1)
         found.append(np.column_stack([own, np.arange(count) < count - (not closed)]))
     return np.concatenate(found)
 
@@ -228,7 +265,7 @@ def main() -> None:
     two.add_argument("--batch", type=int, default=16)
     two.add_argument("--start", help="folder of a reader to begin from, or rope-reader")
     two.add_argument("--rate", type=float, default=2e-3, help="highest learning rate")
-    two.add_argument("--new", type=float, default=0.65, help="share of photos of look phone")
+    two.add_argument("--new", type=float, default=0.75, help="share of photos of look phone")
     two.add_argument("--every", type=int, default=20, help="steps between checkpoints")
     two.add_argument("--device", default="cpu")
     two.add_argument("--seed", type=int, default=0)

@@ -63,6 +63,8 @@ class Shot(Drawn):
             k leads to visit k, and edge 1 passes the base. 1 everywhere without crossings.
         ropes: axes of the open ropes that are seen, from end to end or to the picture's edge,
             float32 (n, 3), px; none if the rope is closed and wholly seen.
+        others: axes of the pieces of other ropes beside it, from the picture's edge on, float64
+            (n, 2), px.
         met: numbers of the crossings that are seen.
         contrast, order, region: measured, see `Legibility`; infinity where nothing is to measure.
     """
@@ -72,6 +74,7 @@ class Shot(Drawn):
     line: Array
     strands: NDArray[np.uint8]
     ropes: list[Array]
+    others: list[Array]
     met: Ids
     contrast: float
     order: float
@@ -252,10 +255,13 @@ class PhotoView:
                 touched = np.hypot(*(flat - flat[tip]).T) < 1.2 * width + gap
                 if (touched & (owner >= 0) & ~own).any():
                     return False
-        # what is half seen at the edge is a rope that leaves there
-        beyond = np.maximum(-flat, flat - self.size).max(axis=1)
-        grazes = self.rope.kept & (owner < 0) & (beyond < 0.5 * width + gap)
-        return bool(self.runs) and not (grazes & (nearest > 2.5 * width)).any()
+        # what is half seen at the edge is a rope that leaves there, and doesn't come back at once
+        hidden = self.rope.kept & (owner < 0)
+        grazes = np.maximum(-flat, flat - self.size).max(axis=1) < 0.5 * width + gap
+        back = any(grazes[run].all() for run in _runs(hidden))
+        return (
+            bool(self.runs) and not back and not (grazes & hidden & (nearest > 2.5 * width)).any()
+        )
 
     def coloured(self, look: Photo, ground: Array, rng: Rng) -> Photo:
         """Choose the first of 24 colours that stands out from the ground, or the best.
@@ -365,7 +371,7 @@ def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None)
     rope, (picture, texture, grain) = view.rope, ground_of(look)
     if rng is not None:
         look = view.coloured(look, picture, rng)
-    strands = _compose(view, look, picture, texture, grain)
+    strands, others = _compose(view, look, picture, texture, grain)
     if look.occluders:
         # what is covered is visible no more
         strands[_occlude(view, look, picture, grain) > 0] = 0
@@ -375,7 +381,7 @@ def painted(view: PhotoView, look: Photo, region: float, rng: Rng | None = None)
     line = view.curve[:: rope.parts].copy()
     line[:, 2] = rope.curve[:: rope.parts, 2]
     ropes = [view.curve[run] for run in view.runs]
-    answers = view.middles, rope.points, rope.crossings, line, strands, ropes, view.met
+    answers = view.middles, rope.points, rope.crossings, line, strands, ropes, others, view.met
     if rng is None or shows(view.limits, contrast, order):
         picture = _exposed(picture, look)
     return Shot(picture, look, *answers, contrast, order, region)
@@ -398,8 +404,10 @@ def shows(limits: Legibility, contrast: float, order: float) -> bool:
 
 def _compose(
     view: PhotoView, look: Photo, picture: Array, texture: Array, rng: Rng, dots: Ids = ALL
-) -> Array:
-    """Paint the rope on a picture, or on some pixels; return the strands that are visible."""
+) -> tuple[Array, list[Array]]:
+    """Paint the rope on a picture, or on some pixels; return the strands that are visible, and the
+    axes of pieces of other ropes.
+    """
     n, strands = len(view.curve), np.zeros(picture.shape[:2], np.uint8)
     colours = np.empty((n, 2, 3), np.float32)
     colours[:, 0], colours[:, 1] = look.first, look.last
@@ -411,9 +419,9 @@ def _compose(
     tips = [int(tip) for run in view.runs for tip in run[[0, -1]]] or [0]
     for tip in tips if look.whipping else ():
         colours[view.away(tip) < look.whipping * 2 * view.radius] = 255 - 0.9 * colours[tip, 0]
-    curve, after = view.curve, view.after
+    curve, after, others = view.curve, view.after, list[Array]()
     if look.others:
-        curve, after, colours = _with_others(view, look, colours, rng)
+        curve, after, colours, others = _with_others(view, look, colours, rng)
     tangent, length = views.shape(curve, after)
     weave = WEAVES.index(look.weave) if look.weave else int(look.twisted)
     turns = max(round(length[n] / (2 * look.pitch * view.radius)), 1)  # whole, to have no seam
@@ -424,7 +432,7 @@ def _compose(
         tangent, (length * turns / length[n]).astype(np.float32), colours,
         np.array(lamp, np.float32), weave, texture, grown, n, dots
     )  # fmt: skip
-    return strands
+    return strands, others
 
 
 def _exposed(picture: Array, look: Photo) -> Array:
@@ -441,9 +449,9 @@ def _exposed(picture: Array, look: Photo) -> Array:
 
 def _with_others(
     view: PhotoView, look: Photo, colours: Array, rng: Rng
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, list[Array]]:
     """Lay pieces of other ropes that come in from the picture's edge and touch nothing."""
-    curve, after, size = view.curve, view.after, look.size
+    curve, after, size, seen = view.curve, view.after, look.size, list[Array]()
     space = 2 * view.radius + 9.0 * view.unit  # between axes, px
     own = _lab(np.array([look.first], np.float64))
     for _ in range(look.others):
@@ -463,6 +471,8 @@ def _with_others(
         if len(path) < 8:
             continue
         n, last = len(curve), len(curve) + len(path)
+        inside = np.all((path >= 0) & (path < size), axis=1)
+        seen += [path[run[:-1]] for run in _runs(inside)]
         curve = np.concatenate([curve, np.column_stack([path, np.zeros(len(path))])])
         curve = curve.astype(np.float32)
         after = np.concatenate([after, np.arange(n + 1, last), [last - 1]])
@@ -471,7 +481,7 @@ def _with_others(
     new = np.where(np.arange(len(curve)) < len(view.curve), np.arange(len(curve)), after)
     flags = np.full(len(curve), kernels.UNDER, np.uint8)
     kernels.stamp(curve, new, flags, _reach(view.radius), view.square, view.place)
-    return curve, after, colours
+    return curve, after, colours, seen
 
 
 def _occlude(view: PhotoView, look: Photo, picture: Array, rng: Rng) -> Array:

@@ -3,7 +3,7 @@
 A network finds the strands and, at crossings, which is the upper one (`strand_network`); the lines
 that these fields hold (`strand_lines`) cross each other, which gives the code. Mirror images and
 quarter turns of the picture are read too, and their fields averaged. A picture is read at several
-scales, for the network saw ropes 3 to 12 pixels wide; the reading with the best confidence counts.
+scales, while its lines are unsure; the reading with the surest lines counts.
 
 After a change run `pytest tests/photos/test_rope_reader.py`: drawn lines must be walked through
 their crossings, fields of turned pictures be turned back, and photos be read.
@@ -30,14 +30,15 @@ from knotgym.topology import GaussCode, RopesCode, find_ropes_crossings, knot_ty
 SIDE = 256
 VIEWS = 8  # mirror images and quarter turns of a picture
 # Chosen on drawn photos and on mBEST's S1 0 to 44 (docs/photos.md has what came of it).
-_SCALES = (1.0, 0.8, 0.65, 0.5)  # of the picture's longer side
+_SCALES = (1.0, 1.5, 0.8, 0.65, 0.5)  # of the picture's longer side; larger for thin ropes
 _FEW = 2  # views at scales that are only looked at
-_SURE = 0.7  # confidence at which no other scale is looked at
+# score of the lines at which no other scale is looked at, after the first and after more
+_SURE, _FAIR = 0.85, 0.6
 _LOOP = 6.0  # length of the smallest loop, cells
 _TIP = 2.5  # points at a loose end, where a crossing is the end lying on a strand
 _EDGE = 6.0  # a loose end nearer to the edge of the picture is where the rope leaves it, cells
-_SMALLER = 0.75  # factor on the confidences of the other scales
-_ALTERNATIVE = 0.8  # share of the best confidence at which another reading forbids a closed code
+_SMALLER = 0.75  # factor on the scores of smaller scales
+_ALTERNATIVE = 0.9  # share of the best score at which a reading with ends forbids a closed code
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,30 +143,33 @@ class RopeReader:
             )
         if not 1 <= views <= VIEWS:
             raise InvalidInput(f"views must be from 1 to {VIEWS}, got {views}")
-        found = list[PhotoReading]()
+        found = list[tuple[PhotoReading, float]]()
         for scale in scales:
             seen, shift, step = _placed(picture, scale)
             with inference():
                 tensor = torch.from_numpy(seen).permute(2, 0, 1)[None]
                 fields = _averaged(self.network, tensor, views if not found else min(views, _FEW))
             found.append(_reading(fields, picture.shape, shift, step))
-            if found[-1].confidence >= _SURE:
+            if found[-1][1] >= (_SURE if len(found) == 1 else _FAIR):
                 break
-        return _best(found)
+        return _best(found, scales)
 
 
-def _best(found: Sequence[PhotoReading]) -> PhotoReading:
-    """Choose among the readings of one picture at several scales, that with all views first.
+def _best(found: Sequence[tuple[PhotoReading, float]], scales: Sequence[float]) -> PhotoReading:
+    """Choose among the readings of one picture at several scales.
 
-    A closed code that another reading contradicts is withheld.
+    How sure its lines are decides: which strand is on top is no clearer at another scale. A closed
+    code is withheld where a reading with ends is nearly as sure.
     """
-    # with fewer views and fewer pixels a confidence says less
-    scores = [one.confidence * (_SMALLER if k else 1.0) for k, one in enumerate(found)]
-    best = found[int(np.argmax(scores))]
+    # with fewer pixels a score says less
+    scores = [
+        score * (_SMALLER if scale < 1 else 1.0)
+        for (_, score), scale in zip(found, scales, strict=False)
+    ]
+    best = found[int(np.argmax(scores))][0]
     others = [
-        one.confidence for one, score in zip(found, scores, strict=True)
-        if one.code and best.code and one.code.smallest() != best.code.smallest()
-        and score >= _ALTERNATIVE * max(scores)
+        one.confidence for (one, _), score in zip(found, scores, strict=True)
+        if one.code and not one.closed and score >= _ALTERNATIVE * max(scores)
     ]  # fmt: skip
     if best.closed and others:
         reason = f"two readings, {best.confidence:.1f} and {max(others):.1f}"
@@ -190,22 +194,22 @@ def inference() -> Iterator[None]:
 
 
 def _placed(picture: NDArray[np.uint8], scale: float) -> tuple[NDArray[np.float32], Array, float]:
-    """Put a picture into the middle of a square of SIDE pixels.
+    """Put a picture into the middle of a square of SIDE pixels, or more if its scale is above 1.
 
     Returns:
-        float32 (SIDE, SIDE, 3), where beside the picture is the median colour of its border; the
+        float32 (side, side, 3), where beside the picture is the median colour of its border; the
         picture's upper left corner in it, (2,), x and y; and its pixels for each of the picture's.
     """
-    height, width = picture.shape[:2]
+    (height, width), side = picture.shape[:2], round(SIDE * max(scale, 1.0))
     step = scale * SIDE / max(height, width)
     size = max(round(width * step), 1), max(round(height * step), 1)
     # the mean over the area of a pixel, where bilinear interpolation would skip pixels
     method = cv2.INTER_AREA if step < 1 else cv2.INTER_LINEAR
     small = cv2.resize(picture.astype(np.float32), size, interpolation=method)
     border = np.concatenate([small[0], small[-1], small[:, 0], small[:, -1]])
-    square = np.empty((SIDE, SIDE, 3), np.float32)
+    square = np.empty((side, side, 3), np.float32)
     square[:] = np.median(border, axis=0)
-    left, top = (SIDE - size[0]) // 2, (SIDE - size[1]) // 2
+    left, top = (side - size[0]) // 2, (side - size[1]) // 2
     square[top : top + size[1], left : left + size[0]] = small
     return square, np.array([left, top], float), step
 
@@ -238,15 +242,21 @@ def _turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
     return Fields(lines, upper)
 
 
-def _reading(fields: Fields, shape: Sequence[int], shift: Array, step: float) -> PhotoReading:
-    """Read the fields of a picture that was placed as `_placed` says."""
+def _reading(
+    fields: Fields, shape: Sequence[int], shift: Array, step: float
+) -> tuple[PhotoReading, float]:
+    """Read the fields of a picture that was placed as `_placed` says.
+
+    Returns:
+        The reading, and how sure its lines are, in [0, 1], whatever strand is on top.
+    """
     height, width = shape[:2]
     frame = np.append(shift, shift + step * np.array([width, height])) / CELL - 0.5
     lines, passed = lines_in(fields.lines, frame)
     lines = [_without_loops(line) for line in lines]
     lines = [line for line in lines if len(line.points) > 3]
     if not lines:
-        return PhotoReading()
+        return PhotoReading(), 0.0
     code, places, votes, over = _crossed(lines, fields.upper)
     score = passed**4 * 0.99**code.nx * 0.8 ** (len(lines) - 1)
     ropes = []
@@ -261,7 +271,8 @@ def _reading(fields: Fields, shape: Sequence[int], shift: Array, step: float) ->
     confidence = min(rope.confidence for rope in ropes)
     pixels = ((places + 0.5) * CELL - shift) / step
     reason = _reason(loose, shape, _EDGE * CELL / step)
-    return PhotoReading(tuple(ropes), code, confidence, pixels, votes, over, loose, reason)
+    reading = PhotoReading(tuple(ropes), code, confidence, pixels, votes, over, loose, reason)
+    return reading, float(score)
 
 
 def _knot(code: GaussCode) -> str:
@@ -331,7 +342,8 @@ def _crossed(
             if not line.closed and not _TIP <= at <= len(line.points) - 1 - _TIP:
                 dropped.add(k + 1)
         between = ways[0] - ways[1]
-        votes[k] = _bilinear(upper, x, y) @ between / max(np.hypot(*between), 1e-6)
+        # at most the sine of their angle: the flatter they cross, the less sure
+        votes[k] = _bilinear(upper, x, y) @ between / max(float(np.hypot(*between)), 1e-6)
         half = 0.5 * np.arctan2(*ways[int(votes[k] < 0)][::-1])
         over[k] = np.cos(half), np.sin(half)
     # a vote against the strand that is visited first switches the crossing

@@ -14,6 +14,7 @@ from knotgym.common import InvalidFile, InvalidInput
 from knotgym.learn import load_rope_reader
 from knotgym.photos import PhotoReading, photograph
 from knotgym.photos.rope_reader import _reading
+from knotgym.photos.strand_lines import Line, _exchanged
 from knotgym.photos.strand_network import CELL, Fields
 from knotgym.states import States, read_states, shipped
 from knotgym.topology import GaussCode, RopesCode, find_ropes_crossings, label
@@ -65,7 +66,7 @@ def drawn(points: Array, closed: bool = True) -> Fields:
 
 
 def read(fields: Fields) -> PhotoReading:
-    return _reading(fields, (SIDE, SIDE), np.zeros(2), 1.0)
+    return _reading(fields, (SIDE, SIDE), np.zeros(2), 1.0)[0]
 
 
 @pytest.mark.parametrize("nx", [0, 2, 4, 5])
@@ -79,6 +80,30 @@ def test_drawn_lines_are_walked_through_their_crossings(states: States, nx: int)
         assert not cut.closed and "end" in cut.reason
         opened += cut.code is not None and cut.code.smallest() == code.smallest()
     assert right >= 7 and opened >= 5  # of 8: strands that nearly touch may be exchanged
+
+
+@pytest.mark.parametrize("degrees", [9, 14, 20])
+def test_strands_that_cross_at_a_flat_angle_are_told_apart(degrees: int) -> None:
+    # a bow, whose arms cross below it; the first arm is on top
+    slope, way = np.tan(np.radians(degrees / 2)), np.linspace(-1.0, 1.0, 60)
+    bend = np.linspace(0.0, np.pi, 30)[1:-1]
+    bow = np.column_stack([1 + slope * np.sin(bend), -slope * np.cos(bend), 0 * bend])
+    arms = [np.column_stack([side * way, slope * way, side + 0 * way]) for side in (1, -1)]
+    points = np.concatenate([arms[0], bow[::-1], arms[1]])
+    found = read(drawn(points, closed=False))
+    assert found.code is not None and str(found.code.plain.smallest()) in ("1-,1+", "1+,1-")
+
+
+def test_lines_that_touch_and_bend_away_cross_and_parallel_ones_stay() -> None:
+    way = np.linspace(-20.0, 20.0, 41)
+    for bend, crossings in ((1.0, 1), (0.0, 0)):
+        lines = [
+            Line(np.column_stack([way, side * (0.5 + bend * np.abs(way))]), False)
+            for side in (1.0, -1.0)
+        ]
+        found = _exchanged(lines)
+        flat = [np.column_stack([one.points, np.zeros(len(one.points))]) for one in found]
+        assert len(find_ropes_crossings(flat, False).sign) == crossings
 
 
 @pytest.mark.parametrize(
