@@ -31,6 +31,7 @@ SEARCHED = {
     "f593b9a13b573ef1f8e4d37c4d7ae57cc93a36121d560033435a837123d7dd9e",  # tie 3
     "6ef78a7e2d5f3993957c8f56e9b418fe73037a0f9dbe7b352e1e2e02131921f2",  # convert 2
     "32bc2fab621cbf3645f5b0614dace2949e12ecdc2b125e58e2f4da7331ccf5b5",  # convert 3
+    "05a09d55f7eb034d4e81bf570899c5e86f48d742f8523cbb977ca3db081c0df7",  # unknot 2
 }
 Ints = NDArray[np.int64]
 

@@ -3,11 +3,10 @@
     python benchmarks/seeds.py ROOM [--cells NAME ...] [--updates]
 
 Trains the learners of `examples/learners/offline_torch.py` on the sets of demonstrations (`noisy`,
-in decisions) and of random macro-actions (`wander`, in macro-actions), and for the latter those of
-a graph of codes above NextBC. Plays each on the test split by the cell's protocol, and keeps them
-as entries, ROOM/entries/CELL-seedK.h5, the smallest cells first. What is there stays, so the script
-can be stopped and run again. It needs torch, and the sets:
-`knotgym suite --states bench --size 100k --policy wander --task tie --nx 2 --out ROOM/data`.
+in decisions) and of random macro-actions (`wander`, in macro-actions), plays each on the test split
+by the cell's protocol, and keeps them as entries, ROOM/entries/CELL-seedK.h5, the smallest cells
+first. What is there stays, so the script can be stopped and run again. It needs torch, and the
+sets: `knotgym suite --states bench --size 100k --policy wander --task tie --nx 2 --out ROOM/data`.
 `benchmarks/results.py` makes the page.
 
 --updates plays train starts instead, after each number of updates in TRIED, seed 0. By these rates
@@ -88,17 +87,12 @@ def train(
 
 def entry(cell: Cell, seed: int, loaded: dict[str, Any]) -> None:
     """Train a cell's learners with a seed, and keep what they play on the test split."""
-    import code_graph
-
     file = Path("entries", f"{cell.name}-seed{seed}.h5")
     if file.exists():
         return
     folder = Path(f"{cell.name}-seed{seed}")
     out = {learner: folder / f"{learner}.pt" for learner in cell.learners}
     acting = train(cell, seed, cell.updates, out, loaded)
-    if cell.tier == "wander":
-        code_graph.make(out["NextBC"], cell.data, folder / "graph.json")
-        acting += ["--policy", "graph:act"]
     acting += ["--protocol", cell.protocol, "--record", f"../{file}"]  # no path of this machine
     evaluate(cell, folder, acting)
 

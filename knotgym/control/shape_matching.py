@@ -7,6 +7,7 @@ gets for nothing. The constants are the best of a few on train states (docs/boar
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,10 +62,10 @@ class MatchingPlayer(Player):
             return ropes, goals
         halves = np.split(seen, 2, axis=2 if seen.shape[2] > task.image_size else 3)
         scale = PictureConfig.of(task.beads, size=task.image_size).pixels_per_metre
-        ropes, goals = (
-            np.stack([_places_by_hue(one, task.beads, scale) for one in half]) for half in halves
-        )
-        return ropes, goals
+        # a goal's picture stays the same in an episode
+        goals = [_remembered(one.tobytes(), one.shape, task.beads, scale) for one in halves[1]]
+        ropes = [_places_by_hue(one, task.beads, scale) for one in halves[0]]
+        return np.stack(ropes), np.stack(goals)
 
 
 def _turned_onto(ropes: Array, goals: Array) -> Array:
@@ -75,6 +76,11 @@ def _turned_onto(ropes: Array, goals: Array) -> Array:
     turn = (flat * wanted.conj()).sum(axis=1, keepdims=True)
     turned = wanted * turn / np.maximum(np.abs(turn), 1e-12)
     return np.stack([turned.real, turned.imag, other[..., 2]], axis=2)
+
+
+@lru_cache(maxsize=1024)
+def _remembered(data: bytes, shape: tuple[int, ...], beads: int, scale: float) -> Array:
+    return _places_by_hue(np.frombuffer(data, np.uint8).reshape(shape), beads, scale)
 
 
 def _places_by_hue(picture: NDArray[np.uint8], beads: int, scale: float) -> Array:
