@@ -63,6 +63,8 @@ ALL = (
     Cell("convert", 3, "noisy", "10k", 3, SHORT),
     Cell("tie", 2, "noisy", "100k", 5, LONGER, "goal-state", ("BC", "GCBC")),
     Cell("tie", 3, "noisy", "10k", 5, SHORT, "goal-state", ("BC", "GCBC")),
+    Cell("convert", 2, "noisy", "10k", 3, SHORT, "goal-state", ("BC", "GCBC")),
+    Cell("convert", 3, "noisy", "10k", 3, SHORT, "goal-state", ("BC", "GCBC")),
 )
 CELLS = {cell.name: cell for cell in ALL}
 

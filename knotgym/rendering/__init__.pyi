@@ -12,8 +12,8 @@ from .camera import project as project
 from .diagram import Film as Film
 from .diagram import draw_diagram as draw_diagram
 from .diagram import smooth_curve as smooth_curve
+from .picture import count_regions as count_regions
 from .picture import draw as draw
-from .regions import count_regions as count_regions
 from .variation import Appearance as Appearance
 from .variation import Drawer as Drawer
 from .variation import Drawn as Drawn
