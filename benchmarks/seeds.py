@@ -81,7 +81,9 @@ def train(
     for learner, file in out.items():
         if not file.with_suffix(".py").exists():
             file.parent.mkdir(exist_ok=True)
-            given = Namespace(learner=learner, datasets=[cell.data], seed=seed, width=WIDTH)
+            given = Namespace(
+                learner=learner, datasets=[cell.data], seed=seed, width=WIDTH, every=0
+            )
             vars(given).update(views, updates=updates[learner], out=file)
             offline_torch.make(given, loaded)
     return [word for file in out.values() for word in ("--policy", f"{file.stem}:act")]

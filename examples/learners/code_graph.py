@@ -12,7 +12,6 @@ learned to show the code that follows, pull towards it.
 import ast
 import inspect
 import json
-import shlex
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
@@ -23,10 +22,9 @@ from math import log
 from pathlib import Path
 from typing import Any
 
+from cards import card_of
 from diagram_values import code_of
 
-from knotgym.common import sha256
-from knotgym.datasets import columns_of
 from knotgym.envs import Marked
 from knotgym.loaders import arrays, as_policy
 from knotgym.topology import GaussCode, images
@@ -110,15 +108,12 @@ def make(near: Path, dataset: str, out: Path) -> None:
     """Write the graph of a dataset, and the policy of it and of a network."""
     began = time.process_time()
     out.write_text(json.dumps(graph_of(dataset)))
-    opened, source = columns_of(dataset), near.with_suffix(".py").read_text()
+    source = near.with_suffix(".py").read_text()
     below = ast.literal_eval(source.partition("CARD = ")[2].partition("  # what")[0])
-    words = near.name, dataset, "--out", out.name
-    card = below | {
-        "learner": f"graph of codes over {below['learner']}",
-        "data": below["data"] | {opened.name: sha256(opened.path)},
-        "seconds": round(below["seconds"] + time.process_time() - began, 1),
-        "command": shlex.join(["python", "examples/learners/code_graph.py", *words]),
-    }
+    words = __file__, near.name, dataset, "--out", out.name
+    seconds = below["seconds"] + time.process_time() - began
+    own = card_of(f"graph of codes over {below['learner']}", [dataset], seconds, words)
+    card = below | own | {"data": below["data"] | own["data"]}
     functions = "\n\n".join(inspect.getsource(one) for one in (code_of, policy_of))
     module = MODULE.format(near=near.stem, card=card, functions=functions)
     out.with_suffix(".py").write_text(module)

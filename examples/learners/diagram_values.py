@@ -10,7 +10,6 @@ the first. It reads the columns of the set alone, no table that ships.
 
 import inspect
 import re
-import shlex
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
@@ -18,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cards import card_of
 from numpy.typing import NDArray
 
-from knotgym.common import sha256
 from knotgym.control import Moves, PassValues, Sight
 from knotgym.datasets import columns_of
 from knotgym.envs import Marked
@@ -129,16 +128,11 @@ def main() -> None:
     given = parser.parse_args()
     began = time.process_time()
     table_of(given.dataset).save(given.out)
-    opened = columns_of(given.dataset)
-    words = given.dataset, "--sweeps", str(given.sweeps), "--out", given.out.name
-    card = {
-        "learner": "diagram values" + f", {given.sweeps} sweep" * (given.sweeps != SWEEPS),
-        "data": {opened.name: sha256(opened.path)},
-        "seed": int((re.findall(r"-seed(\d+)-v", opened.name) or [1])[0]),  # of the set
-        "action": "macro",
-        "seconds": round(time.process_time() - began, 1),
-        "command": shlex.join(["python", "examples/learners/diagram_values.py", *words]),
-    }
+    words = __file__, given.dataset, "--sweeps", str(given.sweeps), "--out", given.out.name
+    name = "diagram values" + f", {given.sweeps} sweep" * (given.sweeps != SWEEPS)
+    of_set = re.findall(r"-seed(\d+)-v", columns_of(given.dataset).name) or [1]
+    seconds, more = time.process_time() - began, {"seed": int(of_set[0]), "action": "macro"}
+    card = card_of(name, [given.dataset], seconds, words, **more)
     functions = "\n\n".join(inspect.getsource(one) for one in (seen, policy_of, code_of))
     module = MODULE.format(card=card, doubt=DOUBT, sweeps=given.sweeps, functions=functions)
     given.out.with_suffix(".py").write_text(module)

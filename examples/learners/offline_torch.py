@@ -17,7 +17,6 @@ it trains, it plays the task of the set, and iql.curve has a plot of its success
 
 import copy
 import inspect
-import shlex
 import time
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
@@ -32,11 +31,11 @@ try:
     import torch
 except ModuleNotFoundError as error:
     raise SystemExit("offline_torch.py needs torch: pip install '.[torch]'") from error
+from cards import card_of
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits as logistic
 from torch.nn.functional import one_hot
 
-from knotgym.common import sha256
 from knotgym.datasets import columns_of
 from knotgym.learn import Trials
 from knotgym.loaders import GoalSampling, Transitions, Window, arrays, as_policy
@@ -69,7 +68,6 @@ act = as_policy(predict, action="{action}", observation="{observation}")
 BATCH, RATE, DECAY, TRIALS = 128, 1e-3, 0.02, 64
 DISCOUNT, EXPECTILE, POLYAK, GREED, WEIGHT, LARGEST = 0.98, 0.9, 0.01, 2.5, 1.0, 100.0
 SETTINGS = ("observation", "action", "updates", "width", "seed")
-SCRIPT = "examples/learners/offline_torch.py"
 Batch = dict[str, Tensor]
 
 
@@ -420,14 +418,13 @@ def make(given: Namespace, sets: dict[str, Batch]) -> None:
             sets[one] = load(given, one)
     data = [sets[one] for one in made.sets]
     learner = made(kind, given.width, data[0]["observations"])
-    opened = [columns_of(one) for one in given.datasets]
-    tasks = [replace(one.task, task=one.task.tasks[0], horizon=50) for one in opened]
+    tasks = [columns_of(one).task for one in given.datasets]
+    tasks = [replace(task, task=task.tasks[0], horizon=50) for task in tasks]
     trials, rows, played = Trials(tasks, TRIALS, given.seed), list[tuple[float, ...]](), 0.0
     views = {"action": given.action, "observation": given.observation}
     acting = torch.inference_mode()(lambda seen: learner.policy.act(torch.from_numpy(seen)).numpy())
-    every = getattr(given, "every", 0)
     for update, loss in train(learner, data, given.updates):
-        if every and update % every == 0:
+        if given.every and update % given.every == 0:
             since = time.process_time()
             learner.policy.eval()  # draws no random number of torch's
             success = trials.success(as_policy(acting, **views))
@@ -439,19 +436,15 @@ def make(given: Namespace, sets: dict[str, Batch]) -> None:
     torch.save(learner.policy.state_dict(), given.out)
     settings = {name: getattr(given, name) for name in SETTINGS}
     options = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
-    card = {
-        "learner": given.learner,
-        "data": {part.name: sha256(part.path) for one in opened for part in one.parts or [one]},
-        "parameters": sum(one.numel() for one in learner.policy.parameters()),
-        **settings,
-        "seconds": round(time.process_time() - began - played, 1),
-        "command": shlex.join(["python", SCRIPT, given.learner, *given.datasets, *options]),
-    }
+    words = __file__, given.learner, *given.datasets, *options
+    seconds = time.process_time() - began - played
+    settings["parameters"] = sum(one.numel() for one in learner.policy.parameters())
+    card = card_of(given.learner, given.datasets, seconds, words, **settings)
     policy = Field if isinstance(learner.policy, Field) else kind
     classes = "\n\n".join(map(inspect.getsource, dict.fromkeys((Network, Actor, kind, policy))))
     sizes = [str(data[0]["observations"].shape[1]), str(given.width)]
-    words = [kind.__name__] * (policy is Field) + sizes
-    call = f"{policy.__name__}({', '.join(words)})"
+    made_of = [kind.__name__] * (policy is Field) + sizes
+    call = f"{policy.__name__}({', '.join(made_of)})"
     module = MODULE.format(card=card, classes=classes, made=call, **views)
     given.out.with_suffix(".py").write_text(module)
 

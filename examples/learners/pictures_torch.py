@@ -9,7 +9,6 @@ rope and goal are turned by quarters at random while it trains.
 """
 
 import inspect
-import shlex
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
@@ -20,11 +19,10 @@ try:
     import torch
 except ModuleNotFoundError as error:
     raise SystemExit("pictures_torch.py needs torch: pip install '.[torch]'") from error
+from cards import card_of
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, interpolate
 
-from knotgym.common import sha256
-from knotgym.datasets import columns_of
 from knotgym.loaders import Transitions
 
 MODULE = """import torch
@@ -114,19 +112,12 @@ def main() -> None:
     began = time.process_time()
     network = trained(given.datasets, given.updates, given.seed)
     torch.save(network.state_dict(), given.out)
-    opened = [columns_of(one) for one in given.datasets]
-    options = "--updates", str(given.updates), "--seed", str(given.seed)
-    script = "examples/learners/pictures_torch.py"
-    card = {
-        "learner": "BC from pictures",
-        "data": {part.name: sha256(part.path) for one in opened for part in one.parts or [one]},
-        "parameters": sum(one.numel() for one in network.parameters()),
-        "action": "macro",
-        "updates": given.updates,
-        "seed": given.seed,
-        "seconds": round(time.process_time() - began, 1),
-        "command": shlex.join(["python", script, *given.datasets, *options]),
-    }
+    settings = {"updates": given.updates, "seed": given.seed}
+    options = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
+    words, seconds = (__file__, *given.datasets, *options), time.process_time() - began
+    settings["parameters"] = sum(one.numel() for one in network.parameters())
+    more = settings | {"action": "macro"}
+    card = card_of("BC from pictures", given.datasets, seconds, words, **more)
     module = MODULE.format(card=card, network=inspect.getsource(Pictures))
     given.out.with_suffix(".py").write_text(module)
 
