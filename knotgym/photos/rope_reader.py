@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knotgym.common import Array, InvalidInput
-from knotgym.photos.strand_lines import Line, lines_in
+from knotgym.photos.line_mending import Line
+from knotgym.photos.strand_lines import lines_in
 from knotgym.photos.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.topology import GaussCode, RopesCode, find_ropes_crossings, knot_type
 

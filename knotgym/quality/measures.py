@@ -1,10 +1,9 @@
 """Computation of quality measures: how readable a state's picture is, and how twisted the rope.
 
 `limits` defines the measures, their units and the limits for curated states. Most measures are
-computed in one compiled call for many ropes, from crossings that are known already; the rope beside
-which regions are counted is drawn by OpenCV. Arithmetic
-is that of C's mathematical library, without fastmath, so that a measure is the same fresh and from
-the cache, alone and beside others.
+computed in one compiled call for many ropes, from crossings that are known already; the rope
+beside which regions are counted is drawn by OpenCV. Arithmetic is that of C's mathematical library,
+without fastmath, so that a measure is the same fresh and from the cache, alone and beside others.
 
 After a change run `pytest tests/quality` and `knotgym dataset verify` on the sets that ship: the
 measures that they store are computed again and must be the same.

@@ -13,8 +13,8 @@ from torch import Tensor
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.learn import load_rope_reader
 from knotgym.photos import PhotoReading, photograph
+from knotgym.photos.line_mending import Line, _exchanged
 from knotgym.photos.rope_reader import _reading
-from knotgym.photos.strand_lines import Line, _exchanged
 from knotgym.photos.strand_network import CELL, Fields
 from knotgym.states import States, read_states, shipped
 from knotgym.topology import GaussCode, RopesCode, find_ropes_crossings, label
