@@ -1,8 +1,7 @@
-"""Folders of learners by their names, and their cards; it can be read without torch."""
+"""Cards of learners, which can be read without torch."""
 
 import hashlib
 import json
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +10,6 @@ from knotgym.common import InvalidFile, atomic_write, read_json
 FORMAT, FORMAT_VERSION = "knotgym-policy", 3
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
 PRETRAINED, ROPE_READER = "pretrained", "rope-reader"
-# names of the folders that ship with the package
-POLICIES = (PRETRAINED, "pretrained-clone")
-_SHIPPED = (*POLICIES, ROPE_READER)
-PICTURES, CLONE = "pictures", "clone"  # learners, beside ROPE_READER
-
-
-def policy_folder(name: str) -> Path:
-    """Return the folder of a learner: a path, or the name of one that ships."""
-    if name in _SHIPPED:
-        return Path(str(files("knotgym.learn") / "data" / name))
-    return Path(name)
 
 
 def write_card(folder: Path, facts: dict[str, Any]) -> None:

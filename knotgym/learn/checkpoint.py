@@ -21,7 +21,8 @@ from safetensors.torch import load, save
 from torch import Tensor, nn
 
 from knotgym.common import Array, InvalidFile, atomic_write, one_line, require_regular, sha256
-from knotgym.learn.card import CARD, PICTURES, WEIGHTS, policy_folder, read_card, write_card
+from knotgym.learn.card import CARD, WEIGHTS, read_card, write_card
+from knotgym.learn.learners import PICTURES, policy_folder
 from knotgym.learn.reader import Reader
 from knotgym.photos import inference
 

@@ -26,10 +26,11 @@ from knotgym.common import Array, Ids, InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, PassValues, Player, Sight
 from knotgym.envs import OBSERVATIONS, EpisodeBatch, Marked, TaskConfig
 from knotgym.learn.agent import require_readable
-from knotgym.learn.card import CARD, CLONE, PRETRAINED, read_card
+from knotgym.learn.card import CARD, PRETRAINED, read_card
 from knotgym.learn.checkpoint import load_network, load_reader
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.learners import CLONE, policy_folder
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.photos import inference
 from knotgym.rope import VIEWS, ActionView, ChainSimulation
@@ -210,8 +211,8 @@ def _with_passes(
     return macros, prior
 
 
-def load_clone(folder: Path) -> ClonePolicy:
-    """Load the policy of a learner's folder.
+def load_clone(name: str | Path) -> ClonePolicy:
+    """Load the policy of a learner's folder: a path, or the name of one that ships.
 
     Raises:
         InvalidFile: as in `load_network`, or it doesn't say whether the clone is guided.
@@ -222,6 +223,7 @@ def load_clone(folder: Path) -> ClonePolicy:
         layers = len({name.split(".")[2] for name in tensors if name.startswith("body.layers.")})
         return CloneNetwork(len(tensors["codes.2.weight"]), layers)
 
+    folder = policy_folder(name)
     network, _ = load_network(folder, CLONE, _make)
     config: Any = read_card(folder).get("config")
     guided = config.get("guided") if isinstance(config, dict) else None

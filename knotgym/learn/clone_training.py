@@ -9,20 +9,23 @@ same weights.
 
 import math
 from collections.abc import Sequence
+from itertools import product
+from typing import Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common import Stream
-from knotgym.learn.card import CLONE
+from knotgym.common import InvalidInput, Stream
+from knotgym.datasets import EpisodeDataset
 from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.clone_policy import ClonePolicy
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Trained, Training
-from knotgym.learn.training_data import Examples
+from knotgym.learn.training_data import TOGETHER, Examples, demonstrate
 from knotgym.learn.trials import Trials
+from knotgym.runs import Call, Recipe
 
 # Settings once, and constants since none was worth more than chance (notes/experiments.md).
 _DECAY = 0.05  # of the weights
@@ -40,8 +43,38 @@ class CloneTraining(Training):
     Weights of multiples of `save_every` steps may be kept.
     """
 
-    LEARNER, NAME, LOSSES = CLONE, "clone", ("training", "held_out")
+    NAME, LOSSES = "clone", ("training", "held_out")
     network: CloneNetwork
+
+    @classmethod
+    def begun(
+        cls, datasets: Sequence[EpisodeDataset], config: CloneConfig, trials: Trials
+    ) -> Recipe[Self]:
+        """Begin a training on the passes of datasets, and on those of searches."""
+        parts, count = list[Examples](), 0
+        for one in datasets:
+            if "macro_start" not in one.episodes.steps:
+                raise InvalidInput(
+                    f"{one.name} doesn't say which macro-actions its policy chose, so the clone"
+                    " can't learn them; use a set of expert or noisy"
+                )
+            parts.append(Examples.of(one.episodes, count))
+            count += one.episodes.episodes.rows
+        calls = list[Call]()
+        for task, nx in product(config.task, config.nx):
+            for first in range(0, config.demonstrations, TOGETHER):
+                few = min(TOGETHER, config.demonstrations - first)
+                name = f"demonstrations of {task} {nx} {first}"
+                calls.append(Call(name, demonstrate, (config, task, nx, first), few))
+        for made in (Examples(**columns) for columns in (yield calls)):
+            # searches are numbered from 0 for each task and nx
+            # unique over all parts: held-out episodes are drawn by their numbers
+            parts.append(made._replace(episodes=made.episodes % TOGETHER + count))
+            count += TOGETHER
+        data = Examples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        if not data.worked.any():
+            raise InvalidInput("no episode reached its goal, so there is nothing to imitate")
+        return cls(config, data, trials)
 
     def __init__(self, config: CloneConfig, data: Examples, trials: Trials) -> None:
         """Begin a training on examples."""

@@ -7,9 +7,10 @@ torch is imported when a policy is made, not when a name is checked.
 from pathlib import Path
 from typing import Any
 
-from knotgym.common import MissingExtra
+from knotgym.common import InvalidFile, MissingExtra
 from knotgym.control import PassValues, Policy, PolicyConfig, PolicyFamily
-from knotgym.learn.card import CARD, CLONE, POLICIES, WEIGHTS, policy_folder, read_card
+from knotgym.learn.card import CARD, WEIGHTS, read_card
+from knotgym.learn.learners import LEARNERS, POLICIES, Learner, policy_folder
 
 
 def _matches(name: str) -> bool:
@@ -17,25 +18,29 @@ def _matches(name: str) -> bool:
 
 
 def _make(config: PolicyConfig) -> Policy:
-    if _is_clone(config.policy):
-        from knotgym.learn.clone_policy import load_clone
-
-        return load_clone(policy_folder(config.policy))
-    from knotgym.learn.agent import PicturePolicy
-
-    return PicturePolicy(config.policy)
+    learner = _learner(config.policy)
+    made: Policy = learner.loaded(learner.policy)(config.policy)
+    return made
 
 
 def _files(name: str) -> dict[str, Path]:
-    is_clone = _is_clone(name)
-    splits = ("train", "train-code") if is_clone else ("train",)
-    tables = [PassValues.table(split, every_code=is_clone) for split in splits]
+    learner = _learner(name)
+    every_code = learner.every_code
+    tables = [PassValues.table(split, every_code=every_code) for split in learner.splits]
     counted = {path.name: path for path in tables if path.is_file()}
     return counted | {file: policy_folder(name) / file for file in (CARD, WEIGHTS)}
 
 
-def _is_clone(name: str) -> bool:
-    return _card(name).get("learner") == CLONE
+def _learner(name: str) -> Learner:
+    """Return what learner a folder is of.
+
+    Raises:
+        InvalidFile: it is of none of them, or has no card.
+    """
+    learner = _card(name).get("learner")
+    if learner not in LEARNERS:
+        raise InvalidFile(f"{name} is of {learner!r}; a policy is of {' or '.join(LEARNERS)}")
+    return LEARNERS[learner]
 
 
 def _card(name: str) -> dict[str, Any]:

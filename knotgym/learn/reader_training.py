@@ -5,6 +5,8 @@ same weights.
 """
 
 import math
+from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import torch
@@ -13,15 +15,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from knotgym.common import Array, Stream
-from knotgym.learn.card import PICTURES
+from knotgym.datasets import EpisodeDataset
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.shape_hypotheses import imagine
 from knotgym.learn.train_config import ReaderConfig
 from knotgym.learn.training import Trained, Training
 from knotgym.learn.training_data import TrainingData
+from knotgym.learn.trials import Trials
 from knotgym.rendering import draw
 from knotgym.rope import ChainSimulation
+from knotgym.runs import Recipe
 
 # Chosen without comparison. Readers that exist don't depend on them; one trained after a change
 # must read as docs/perception.md says.
@@ -38,8 +42,16 @@ _CHOICE = 0.05  # weight of the log-probability of the best reading
 class ReaderTraining(Training):
     """A reader in training; `losses` are those of its two networks at each step."""
 
-    LEARNER, NAME, LOSSES = PICTURES, "reader", ("join", "correct")
+    NAME, LOSSES = "reader", ("join", "correct")
     network: Reader
+
+    @classmethod
+    def begun(
+        cls, datasets: Sequence[EpisodeDataset], config: ReaderConfig, trials: Trials
+    ) -> Recipe[Self]:
+        """Begin a training on the states of datasets."""
+        yield []  # a recipe yields calls at least once; this one has none to make
+        return cls(TrainingData.of([one.episodes for one in datasets]), config)
 
     def __init__(self, data: TrainingData, config: ReaderConfig) -> None:
         """Create a reader."""

@@ -23,8 +23,9 @@ from knotgym.common import (
     require_apart,
     require_output,
 )
-from knotgym.learn.card import ROPE_READER, policy_folder
+from knotgym.learn.card import ROPE_READER
 from knotgym.learn.checkpoint import load_network, save_network
+from knotgym.learn.learners import policy_folder
 from knotgym.learn.train_config import ReadConfig
 from knotgym.photos import (
     PhotoReading,

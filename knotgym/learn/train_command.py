@@ -7,16 +7,18 @@ from pathlib import Path
 
 from knotgym.cli import EXISTING, Given, command
 from knotgym.common import InvalidInput, MissingExtra
-from knotgym.learn.train_config import CloneConfig, ReaderConfig
+from knotgym.learn.learners import LEARNERS, PICTURES
+
+_SECTIONS = {one.section: one.config for one in LEARNERS.values()}
 
 
-@command({"": ReaderConfig, "clone": CloneConfig}, f"steps seed run.workers {EXISTING}")
+@command(_SECTIONS, f"steps seed run.workers {EXISTING}")
 def train(
     given: Given,
     *,
     out: Path,
     data: list[str] | None = None,
-    learner: str = "pictures",
+    learner: str = PICTURES,
     log: str | None = None,
 ) -> None:
     """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.
@@ -36,18 +38,17 @@ def train(
         log: Also write the learning curve, as it grows, beside the folder: tensorboard, or wandb
             (offline). Needs the extra log.
     """
-    config: ReaderConfig | CloneConfig
-    if learner == "clone":
-        common = {name: given.get(name) for name in ("steps", "seed") if given.has(name)}
-        config = given.config(CloneConfig, common, section="clone")
-    elif learner != "pictures":
+    if learner not in LEARNERS:
+        known = ", ".join(LEARNERS)
         raise InvalidInput(
-            f"no learner {learner!r}; there is pictures, clone; examples/learners trains others"
+            f"no learner {learner!r}; there is {known}; examples/learners trains others"
         )
-    elif given.has("clone"):
-        raise InvalidInput("settings of the clone are for --learner clone")
-    else:
-        config = given.config(ReaderConfig)
+    section = LEARNERS[learner].section
+    for name, other in LEARNERS.items():
+        if other.section not in ("", section) and given.has(other.section):
+            raise InvalidInput(f"settings of the {name} are for --learner {name}")
+    common = {name: given.get(name) for name in ("steps", "seed") if given.has(name)}
+    config = given.config(LEARNERS[learner].config, common, section=section)
     for library in ("torch", "safetensors"):
         MissingExtra.imported(library, "learn", "knotgym train")
     from knotgym.learn.train_recipe import train as train_learner

@@ -1,11 +1,14 @@
 """The configurations of `knotgym train` and `knotgym read`, which can be read without torch."""
 
+from itertools import product
 from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeInt, PositiveFloat
 
 from knotgym.common import Count, Distinct, InvalidInput, Mark, Seed, configuration
+from knotgym.envs import TaskConfig
 from knotgym.learn.card import ROPE_READER
+from knotgym.rope import CHAIN
 
 HEADS = 4  # of the attention of a clone
 
@@ -28,6 +31,11 @@ class TrainConfig:
     save_every: Count = 200
     trials: NonNegativeInt = 0
     seed: Seed = 0
+
+    @property
+    def demonstrated(self) -> list[TaskConfig]:
+        """The tasks of demonstrations that the training makes."""
+        return []
 
 
 @configuration
@@ -82,6 +90,15 @@ class CloneConfig(TrainConfig):
             raise InvalidInput(
                 f"width must be a multiple of {HEADS} attention heads, got {self.width}"
             )
+
+    @property
+    def demonstrated(self) -> list[TaskConfig]:
+        """The tasks of demonstrations that the training makes."""
+        return [
+            TaskConfig(task=task, nx=nx, split=self.split, states=self.states, engine=CHAIN)
+            for task, nx in product(self.task, self.nx)
+            if self.demonstrations
+        ]
 
 
 @configuration

@@ -10,9 +10,9 @@ same weights.
 import hashlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import torch
 from safetensors import SafetensorError
@@ -20,7 +20,9 @@ from safetensors.torch import load, save
 from torch import Tensor, nn
 
 from knotgym.common import InvalidFile, atomic_write, one_line, require_regular
-from knotgym.runs import Progress, checkpoint_of
+from knotgym.datasets import EpisodeDataset
+from knotgym.learn.trials import Trials
+from knotgym.runs import Progress, Recipe, checkpoint_of
 
 # chosen without comparison; learners that exist don't depend on them, their scores in
 # docs/benchmark.md are of these
@@ -51,7 +53,7 @@ class Training(ABC):
     """A network in training.
 
     Attributes:
-        LEARNER, NAME: what the network is part of, as a folder has it, and what it is called.
+        NAME: what the network is called.
         LOSSES: names of the two losses.
         network: as trained so far.
         step: steps done.
@@ -59,7 +61,6 @@ class Training(ABC):
             episodes that the learner played then, NaN if it played none.
     """
 
-    LEARNER: ClassVar[str]
     NAME: ClassVar[str]
     LOSSES: ClassVar[tuple[str, str]]
 
@@ -70,6 +71,15 @@ class Training(ABC):
         self.network, self.steps, self._rate = network, steps, rate
         self._optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
         self.step, self.losses = 0, list[tuple[float, float, float, float]]()
+
+    @classmethod
+    @abstractmethod
+    def begun(cls, datasets: Sequence[EpisodeDataset], config: Any, trials: Trials) -> Recipe[Self]:
+        """Begin a training on datasets, and on what the calls of a run make.
+
+        Raises:
+            InvalidInput: they have nothing to learn from.
+        """
 
     @abstractmethod
     def _advance(self) -> None:

@@ -15,9 +15,9 @@ from torch import Tensor, nn
 from knotgym.common import InvalidFile, sha256
 from knotgym.control import PolicyConfig, make_policy
 from knotgym.learn import clone_network
-from knotgym.learn.card import policy_folder
 from knotgym.learn.checkpoint import load_reader
 from knotgym.learn.clone_policy import load_clone
+from knotgym.learn.learners import policy_folder
 
 from .conftest import CLONE, put_card, train, weights
 
@@ -116,5 +116,5 @@ def test_a_network_that_was_changed_refuses_the_weights_of_before(
 
 
 def test_a_reader_of_ropes_is_no_policy() -> None:
-    with pytest.raises(InvalidFile, match="isn't of learner pictures but of 'rope-reader'"):
+    with pytest.raises(InvalidFile, match="is of 'rope-reader'; a policy is of pictures or clone"):
         make_policy(PolicyConfig(policy=str(policy_folder("rope-reader"))))
