@@ -236,6 +236,8 @@ def test_an_array_with_a_row_per_rope_goes_with_its_episode() -> None:
     one.copy_from(other, np.array([0]), np.array([1]))
     assert one.mood.tolist() == [0, 7] and one.seed.tolist() == [3, 3]
     assert one.number.tolist() == [-1, -1]
+    one.begin(np.array([1]), [5])  # and isn't left over for the next one
+    assert one.mood.tolist() == [0, 0]
 
 
 def test_a_stride_of_windows(monkeypatch: Patch) -> None:

@@ -25,7 +25,7 @@ Seed = int | np.random.Generator
 Options = Mapping[str, Any] | None
 Meanwhile = Callable[[], None] | None
 
-# attributes that `copy_from` leaves as they are; every other array has a row per rope
+# arrays that stay as they are when episodes begin or are copied; every other has a row per rope
 _OF_BATCH = frozenset({"number", "_texts", "_old_texts"})
 
 
@@ -89,6 +89,7 @@ class EpisodeBatch:
         # old, because most steps change few codes
         self._texts = np.full((3, count), None, dtype=object)
         self._old_texts = np.ones(count, dtype=bool)
+        self._fresh: dict[str, NDArray[Any]] = {}  # a row of each array, before any episode
 
     # beginning
 
@@ -186,15 +187,16 @@ class EpisodeBatch:
             rows: the columns `seed`, `start`, `goal` and `start_qpos` of `datasets.episodes`, and
                 `goal_visits` and `hold` where an episode has a goal of its own.
         """
+        self._fresh = self._fresh or {name: own[0].copy() for name, own in self._per_rope()}
+        for name, column in self._per_rope():
+            # codes, which may be wider now, are read below
+            column[ids] = self._fresh[name] if column[0].shape == self._fresh[name].shape else 0
         self.seed[ids], self.start_row[ids] = rows["seed"], rows["start"]
         self.goal_row[ids], self.start_qpos[ids] = rows["goal"], rows["start_qpos"]
         hold = np.asarray(rows.get("hold", 0))
         self.hold[ids] = np.where(hold, hold, self.task.hold)
         self.simulation.set_qpos(self.start_qpos[ids], ids)
         self.centre[ids] = TowBound.centres(self.simulation.points[ids])
-        self.steps[ids] = self.held[ids] = 0
-        self.failed[ids] = self.towed[ids] = False
-        self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
         if "goal_visits" in rows:
             goals = CodeArrays(np.asarray(rows["goal_visits"], dtype=np.int16)).objects()
         else:
@@ -215,11 +217,15 @@ class EpisodeBatch:
         width = max(self.visits.shape[1], other.visits.shape[1])
         self._widen(width)
         other._widen(width)
-        for name, column in vars(self).items():
-            if isinstance(column, np.ndarray) and name not in _OF_BATCH:
-                column[ids] = getattr(other, name)[rows]
+        for name, column in self._per_rope():
+            column[ids] = getattr(other, name)[rows]
         self._old_texts[ids] = True
         self.view.reset(ids)
+
+    def _per_rope(self) -> list[tuple[str, NDArray[Any]]]:
+        """Return the arrays that have a row per rope, by their names; a subclass may add some."""
+        arrays = [(name, own) for name, own in vars(self).items() if isinstance(own, np.ndarray)]
+        return [(name, own) for name, own in arrays if name not in _OF_BATCH]
 
     # acting
 
