@@ -124,7 +124,12 @@ class Guide:
         """The chance to reach the goal; 0 if none is known, 1 if the code is the goal's."""
         if code.matches(self._goal):
             return 1.0
-        return self._best.get(images(code)[self._image], 0.0)
+        return self._best.get(_image_of(code, self._image), 0.0)
+
+
+@lru_cache(maxsize=100_000)
+def _image_of(code: GaussCode, number: int) -> GaussCode:
+    return images(code)[number]
 
 
 @lru_cache(maxsize=_GOALS_KEPT)
@@ -175,17 +180,17 @@ class _Met:
     """A code that was met.
 
     Attributes:
+        number: of codes met before it.
         distance: to the goal.
         left: estimated pulls to the goal.
         nodes: states that show it.
-        earliest: the fewest pulls from the root to one of them.
         tries: macro-actions from states of the code.
     """
 
+    number: int
     distance: float
     left: float
     nodes: list[_Node] = field(default_factory=list)
-    earliest: int = 0
     tries: int = 0
 
 
@@ -200,6 +205,9 @@ class _Pool:
         """Take a guide, and whether crossings stand for hops that aren't known."""
         self._guide, self._nx_as_hops = guide, nx_as_hops
         self.met = dict[GaussCode, _Met]()
+        # by number of a code: pulls of an episode through it, and its weight, which falls with them
+        self._lengths, self._weights = list[float](), list[float]()
+        self._shortest = math.inf
 
     def add(self, node: _Node, most: float = math.inf) -> None:
         """Add a state, unless the goal can't be reached through it within `most` pulls.
@@ -212,33 +220,43 @@ class _Pool:
         if node.steps + _LEAST_STRIDE * hops > most:
             return
         if code not in self.met:
-            self.met[code] = _Met(self._guide.distance(code), _STRIDE * hops)
+            number, distance = len(self.met), self._guide.distance(code)
+            self.met[code] = _Met(number, distance, _STRIDE * hops)
+            self._lengths.append(0.0)
+            self._weights.append(0.0)
         own = self.met[code]
         own.nodes.append(node)
         if len(own.nodes) > _KEPT:
             own.nodes.remove(max(own.nodes, key=lambda one: one.steps + _TRY_COST * one.tries))
         # computed again, since the state dropped may have been the earliest
-        own.earliest = min(one.steps for one in own.nodes)
+        self._lengths[own.number] = min(one.steps for one in own.nodes) + own.left
+        self._weigh(own)
+
+    def _weigh(self, own: _Met) -> None:
+        """Set a code's weight again."""
+        # It falls with the distance to the goal (greed), with how often it was tried (weariness),
+        # and with the estimated length of an episode through it (patience). Lengths are compared to
+        # the shortest one, which keeps the exponentials from underflowing.
+        # Python's powers and exponentials, because NumPy's round by processor.
+        self._weights[own.number] = (
+            (1 + own.distance) ** -_GREED
+            / (1 + own.tries / _WEARINESS)
+            * math.exp((self._shortest - self._lengths[own.number]) / _PATIENCE)
+        )
 
     def choose(self, rng: np.random.Generator) -> _Node:
         """Draw a code, then a state that shows it, and count the try."""
-        # A code's weight falls with its distance to the goal (greed), with how often it was tried
-        # (weariness), and with the estimated length of an episode through it (patience). Lengths
-        # are compared to the shortest one, which keeps the exponentials from underflowing.
-        # Python's powers and exponentials, because NumPy's round by processor.
         every = [*self.met.values()]
-        shortest = min(one.earliest + one.left for one in every)
-        weights = [
-            (1 + one.distance) ** -_GREED
-            / (1 + one.tries / _WEARINESS)
-            * math.exp((shortest - (one.earliest + one.left)) / _PATIENCE)
-            for one in every
-        ]
-        own = every[_drawn_index(np.array(weights), rng)]
+        if (shortest := min(self._lengths)) != self._shortest:
+            self._shortest = shortest
+            for one in every:
+                self._weigh(one)
+        own = every[_drawn_index(np.array(self._weights), rng)]
         # among the code's states: early ones, and ones tried less often
         fresh = [math.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in own.nodes]
         node = own.nodes[_drawn_index(np.array(fresh), rng)]
         node.tries, own.tries = node.tries + 1, own.tries + 1
+        self._weigh(own)
         return node
 
     def nearest(self) -> _Node:
