@@ -96,11 +96,11 @@ def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Prog
     Film(out)
     found = found.only("states", "episodes")
     require_output(out, folder=False, overwrite=overwrite, reads=found.files)
+    progress.stage("replaying and drawing")
     made = _state_film(found.states, row) if found.states else _episode_film(found.episodes[0], row)
     frames, steps, difference = made
     if difference:
         raise Failed(f"row {row} of {named} ends in another state when replayed: {difference}")
-    progress.stage("writing")
     with atomic_write(out, overwrite=overwrite) as temporary:
         Film(temporary).write(frames)
     progress.say(f"{out}: bit for bit the same, {steps} steps")

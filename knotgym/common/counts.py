@@ -12,7 +12,8 @@ class Counts:
     """What this process counts; nobody has to listen.
 
     Loops of the main process count their stage. Work that may run in other processes counts the
-    items that it ends, such as episodes, in a counter which those processes share.
+    items that it ends, such as episodes, or shares of them, in a counter which those processes
+    share.
 
     Attributes:
         listeners: the last one is called with the stage, how many of its items are done, and the
@@ -23,7 +24,7 @@ class Counts:
     """
 
     # how many items are done, or what returns that by now
-    Done: TypeAlias = int | Callable[[], int]
+    Done: TypeAlias = float | Callable[[], float]
     listeners: ClassVar[list[Callable[[str, Done, int], None]]] = []
     ended: ClassVar[Any] = SimpleNamespace(value=0)
     worker_seconds: ClassVar[float] = 0.0
@@ -44,14 +45,14 @@ class Counts:
         cls.tell(stage, total, total)
 
     @classmethod
-    def end_item(cls) -> None:
-        """Count an item that has ended, in whichever process."""
+    def end_item(cls, share: float = 1.0) -> None:
+        """Count an item that has ended, or a share of items, in whichever process."""
         with getattr(cls.ended, "get_lock", nullcontext)():
-            cls.ended.value += 1
+            cls.ended.value += share
 
     @classmethod
-    def from_now(cls, done: int = 0, pool: Any = None) -> Callable[[], int]:
+    def from_now(cls, done: int = 0, pool: Any = None) -> Callable[[], float]:
         """Return what counts on from `done` as items end in a pool, or in this process."""
         counter = getattr(pool, "ended", cls.ended)
         before = counter.value
-        return lambda: int(done + counter.value - before)
+        return lambda: round(done + counter.value - before, 6)  # shares add up to whole items

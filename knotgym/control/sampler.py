@@ -202,7 +202,9 @@ def rollouts(
             planned += int(advice.planned[index]) if advice is not None else 0
             names = getattr(player, "names", None)
             record.end(index, policy.name if names is None else str(names[index]), planned)
-            Counts.end_item()
+        # an episode that goes on counts by its share of the horizon
+        left = (task.horizon - batch.steps[over]).sum()
+        Counts.end_item(float(len(pulls.ids) + left) / task.horizon)
         # freed only now, so that the next episodes begin together
         batch.number[over] = -1
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from knotgym import rendering, runs
 from knotgym.common import (
+    Counts,
     Failed,
     InvalidInput,
     Occupied,
@@ -29,7 +30,7 @@ from knotgym.common import (
     require_output,
     sha256,
 )
-from knotgym.control import PolicyConfig, make_policy, rollouts
+from knotgym.control import PolicyConfig, compile_planning, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.collection import blocks
@@ -96,7 +97,10 @@ def _films(
     """Return the calls that play the episodes of each setup that are filmed, by their numbers."""
     return [
         runs.Call(
-            f"film {setup} {','.join(map(str, few))}", _play, (*one, few, seed, True), len(few)
+            f"filmed episodes of setup {setup} {','.join(map(str, few))}",
+            _play,
+            (*one, few, seed, True),
+            len(few),
         )
         for setup, (one, few) in enumerate(zip(setups, films, strict=False), 1)
     ]
@@ -153,7 +157,8 @@ def evaluate(
     require_apart(out, video, record)
     _require_playable(config)
     made_by, results, films = runs.identity(config), list[Result](), list[Episodes]()
-    compiles: dict[str, Any] = {"engine": config.task.engine}
+    plan = compile_planning if any(one.plans for one in config.policies) else None
+    compiles: dict[str, Any] = {"engine": config.task.engine, "plan": plan}
     both = {"video": video, "record": record}
     beside = {kind: more for kind, more in both.items() if more is not None}
 
@@ -165,7 +170,11 @@ def evaluate(
         results, played, films = yield from _evaluation(config, filmed, record is not None)
         # before the output, which says that all is done
         if video is not None:
-            tasks = (task for _, task in config.setups())
+            tasks, rows = (
+                (task for _, task in config.setups()),
+                sum(one.steps.rows for one in films),
+            )
+            Counts.tell("drawing the film", Counts.from_now(), rows)
             frames = [*chain.from_iterable(map(film, films, tasks))]
             with atomic_write(video, overwrite=options.overwrite) as temporary:
                 rendering.Film(temporary).write(frames)

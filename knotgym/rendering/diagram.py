@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, MissingExtra, atomic_write, kernel
+from knotgym.common import Counts, InvalidInput, MissingExtra, atomic_write, kernel
 from knotgym.rendering.camera import (
     RGB,
     PictureConfig,
@@ -47,6 +47,7 @@ _MARGIN = 1.12  # side of the picture, in extents of the rope
 _SMALLEST = 0.12  # smallest side of the picture, metres
 _RADIUS, _THINNEST = 0.005, 1 / 80  # drawn radius, metres, and its smallest fraction of a side
 _PULL, _ARROW = _WHITE, 0.15  # RGB, and the largest force's length as a fraction of a side
+_WRITING = "writing the film"
 FRAMES_PER_SECOND = 5  # an action lasts 0.192 s
 _TEXT = 18  # height of a line of the caption, pixels
 _FONT, _LETTERS, _PALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225)
@@ -281,8 +282,8 @@ class Film:
             from PIL import Image  # here, since diagrams alone need none
 
             first, *others = map(Image.fromarray, frames)
-            lasting = 1000 // FRAMES_PER_SECOND
-            first.save(temporary, save_all=True, append_images=others, duration=lasting, loop=0)
+            told, lasting = Counts.over(others, _WRITING), 1000 // FRAMES_PER_SECOND
+            first.save(temporary, save_all=True, append_images=told, duration=lasting, loop=0)
 
     @staticmethod
     def frame(
@@ -346,12 +347,12 @@ class Film:
         side = Film.side([*ropes, goal], views)
         outcomes = ["reached" if done else "" for done in reached]
         outcomes[-1] = outcomes[-1] or "failed"
-        shown = [
-            Film.frame(rope, goal, heading, pull, outcome, views, side)
-            for rope, heading, pull, outcome in zip(
-                ropes, headings, [*pulls, None], outcomes, strict=True
-            )
-        ]
+        shown = list[NDArray[np.uint8]]()
+        for rope, heading, pull, outcome in zip(
+            ropes, headings, [*pulls, None], outcomes, strict=True
+        ):
+            shown.append(Film.frame(rope, goal, heading, pull, outcome, views, side))
+            Counts.end_item()
         return shown + shown[-1:] * FRAMES_PER_SECOND
 
 
@@ -362,6 +363,6 @@ def _encode(
         stream = film.add_stream(encoder, rate=FRAMES_PER_SECOND, options=options)
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"  # the only pixel format that all browsers play
-        for frame in frames:
+        for frame in Counts.over(frames, _WRITING):
             film.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         film.mux(stream.encode(None))  # what the encoder still holds

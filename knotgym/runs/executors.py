@@ -75,7 +75,7 @@ class _Processes(ProcessPoolExecutor):
 
     def __init__(self, workers: int) -> None:
         context = _context()
-        self.workers, self.ended = workers, context.Value("q", 0)
+        self.workers, self.ended = workers, context.Value("d", 0)
         self.seconds = context.Value("d", 0)  # of CPU, of workers that have ended
         shared = self.ended, self.seconds, [*plugins()]
         super().__init__(workers, mp_context=context, initializer=_serve, initargs=shared)
@@ -294,7 +294,6 @@ def compile_first(
             later += [] if draws else [planned]
         for compiled in later:
             compiled.result()
-    progress.stage("starting")
 
 
 def _compile(kernels: str) -> None:

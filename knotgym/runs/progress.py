@@ -63,10 +63,10 @@ class Progress:
             get_time=clock,
             disable=not live,
         )
-        self._bars.add_task("starting", total=None, facts="")
+        self._bars.add_task("loading libraries", total=None, facts="")
         self._task = self._bars.tasks[0]
         self._clock, self._began, self._used = clock, clock(), time.process_time()
-        self._done: Callable[[], int] | None = None  # how many items of the stage are done by now
+        self._done: Callable[[], float] | None = None  # how many items of the stage are done by now
         self._facts: Mapping[str, object] = _NONE
         self._ends: float | None = None  # when the stage is over, about
         self._stage = threading.RLock()  # held while the stage is changed or read
@@ -99,7 +99,7 @@ class Progress:
             if not (self._lines or self._waits):
                 self._recount()
             elif self._clock() - self._told >= _LINE_EVERY:
-                if self._ends is None or self._told < self._ends <= self._clock():
+                if self._done or not self._ends or self._told < self._ends <= self._clock():
                     self._tell(self._line())
 
     def _recount(self) -> None:
@@ -107,13 +107,17 @@ class Progress:
         with self._stage:
             if self._done is not None:
                 done = self._done()
-                words = [f"{done} of {self._task.total:.0f}"]
+                words = [f"{int(done)} of {self._task.total:.0f}"]
                 words += [f"{fact} {value}" for fact, value in self._facts.items()]
+                words += [f"workers are starting, {self._wait()}"] * bool(self._ends and not done)
                 self._bars.update(self._task.id, completed=done, facts="; ".join(words))
             elif self._ends is not None:
-                left = self._ends - self._clock()
-                told = f"about {left:.0f} s left" if left >= 1 else "it takes longer than usual"
-                self._bars.update(self._task.id, facts=told)
+                self._bars.update(self._task.id, facts=self._wait())
+
+    def _wait(self) -> str:
+        """Say how long the stage, or what comes before its first item, still takes."""
+        left = (self._ends or 0.0) - self._clock()
+        return f"about {left:.0f} s left" if left >= 1 else "it takes longer than usual"
 
     def _line(self) -> str:
         """Return the stage, how far it is, and the time left."""
@@ -157,14 +161,16 @@ class Progress:
             done, total: how many items are done, or what returns how many are done by now, and how
                 many there are; all take about as long.
             facts: other values to show, by name.
-            lasts: about how many seconds the stage takes, which are counted down.
+            lasts: about how many seconds the stage takes, which are counted down; with a total,
+                how long workers take to start before the first item.
         """
         with self._stage:
             if name != self._task.description:
                 self._bars.reset(self._task.id, description=name, facts="")
                 self._ends = self._clock() + lasts if lasts else None
-                if self._lines and not self._counted:
-                    self._done = None
+                self._done = None
+                is_told = self._lines and not self._counted or self._waits and lasts >= _LINE_EVERY
+                if is_told and not total:
                     self._tell(self._line())
             self._done = (done if callable(done) else lambda: done) if total else None
             self._facts = facts

@@ -47,6 +47,7 @@ from knotgym.runs.run_options import WHOLE, RunOptions, Shard
 
 Output = TypeVar("Output")
 
+_STARTING = 4.0  # seconds until workers have started, which only the first calls wait for
 _AHEAD = 4  # calls in progress for each worker, so that one slow call doesn't leave others idle
 
 
@@ -71,7 +72,7 @@ class Call(NamedTuple):
 Recipe = Generator[Sequence[Call], list[Result], Output]
 Count = Callable[[Result], Mapping[str, int]]  # what progress adds up of a result
 # call, how many items of its stage are done by now, their total, new result
-OnProgress = Callable[[Call, Callable[[], int], int, Result | None], None]
+OnProgress = Callable[[Call, Callable[[], float], int, Result | None], None]
 
 
 def compute(
@@ -99,10 +100,11 @@ def compute(
     memo = {} if memo is None else memo
     progress, totals = progress or Progress(quiet=True), Counter[str]()
 
-    def _show(call: Call, done: Callable[[], int], total: int, result: Result | None) -> None:
+    def _show(call: Call, done: Callable[[], float], total: int, result: Result | None) -> None:
         if count is not None and result is not None:
             totals.update(count(result))
-        progress.stage(_stage(call), done, total, totals)
+        lasts = 0.0 if pool is None or isinstance(pool, InProcess) else _STARTING
+        progress.stage(_stage(call), done, total, totals, lasts)
 
     results: list[Result] | None = None
     while True:
@@ -111,6 +113,7 @@ def compute(
         except StopIteration as end:
             output: Output = end.value
             return output
+        totals.clear()  # they stand beside how many of these calls are done
         _complete(calls[shard.number - 1 :: shard.of], memo, pool or InProcess(), _show)
         missing = [index for index, call in enumerate(calls) if call.key not in memo]
         if missing:
@@ -313,7 +316,7 @@ def _complete(
     left, done, total = [], 0, sum(call.items for call in calls)
     ended, kept, begun = Counts.from_now(pool=pool), 0, 0
 
-    def _by_now() -> int:
+    def _by_now() -> float:
         # calls may count the items that they have ended, and a call that is finished counts as all
         finished = done - kept
         return done + max(0, min(begun, ended()) - finished)

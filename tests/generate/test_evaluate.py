@@ -173,7 +173,9 @@ def test_progress_counts_no_episode_of_a_film(tmp_path: Path) -> None:
     with Progress(console=Console(file=written, width=200)) as progress:
         evaluate(config(episodes=3), QUIET, video=tmp_path / "film.gif", progress=progress)
     told = [line[9:].partition(";")[0] for line in written.getvalue().splitlines()]
-    assert "episodes of setup 1: 3 of 3" in told and "film 1: 2 of 2" in told
+    episodes = "episodes of setup 1"
+    assert {f"{episodes}: 3 of 3", f"filmed {episodes}: 2 of 2"} < {*told}
+    assert any("writing the film" in line for line in told)
 
 
 def test_failures_are_listed_by_goal_and_filmed(tmp_path: Path, capsys: Any) -> None:

@@ -43,7 +43,7 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -
     with Progress(console=Console(file=written, width=200)) as progress:
         compile_first(progress)
     lines = [line[9:] for line in written.getvalue().splitlines()]
-    assert lines == ["compiling, once: about 30 s left", "starting"]
+    assert lines == ["compiling, once: about 30 s left"]
 
 
 def test_a_stage_that_outlasts_its_estimate_says_so_once(monkeypatch: Patch) -> None:
@@ -126,7 +126,7 @@ def test_work_without_a_count_is_named_again_and_again(monkeypatch: Patch) -> No
         progress.stage("writing")
         time.sleep(0.5)
     lines = written.getvalue().splitlines()
-    assert [line[9:] for line in lines[:4]] == ["playing", "playing: 4 of 4", "writing", "writing"]
+    assert [line[9:] for line in lines[:3]] == ["playing: 4 of 4", "writing", "writing"]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -151,7 +151,19 @@ def test_what_is_counted_anywhere_is_shown_while_a_command_runs() -> None:
         assert [*Counts.over("ab", "drawing", 2)] == ["a", "b"]
     Counts.tell("drawing", 1, 2)  # nobody listens
     told = [line[9:] for line in written.getvalue().splitlines()]
-    assert told == ["drawing", "drawing: 0 of 2", "drawing: 2 of 2"]
+    assert told == ["drawing: 0 of 2", "drawing: 2 of 2"]
+
+
+def test_items_that_go_on_count_by_their_share_and_workers_start_before_the_first() -> None:
+    written, done, now = io.StringIO(), Counts.from_now(), [0.0]
+    progress = Progress(console=Console(file=written, width=200), clock=lambda: now[0])
+    with progress:
+        for now[0] in (0.0, 20.0, 40.0, 60.0):
+            progress.stage("playing", done, 2, lasts=4.0)
+            Counts.end_item(0.6)
+    told = [line[9:].partition("; time")[0] for line in written.getvalue().splitlines()]
+    first = "playing: 0 of 2; workers are starting, about 4 s left"
+    assert told == [first, *(f"playing: {count} of 2" for count in (0, 1, 1))]
 
 
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:
