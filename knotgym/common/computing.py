@@ -39,6 +39,7 @@ from numba.core.caching import CacheImpl
 from numba.core.dispatcher import Dispatcher
 from numba.misc.appdirs import AppDirs
 
+from knotgym.common.counts import Counts
 from knotgym.common.errors import InvalidInput
 
 if numba.config.DISABLE_JIT:
@@ -130,25 +131,28 @@ inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_
 inlined = njit(nogil=True, inline="always", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-class _FewCollections(event.Listener):
-    """Look for garbage rarely while a function is compiled: that is a tenth of the time.
+class _Compilation(event.Listener):
+    """Count functions that are being compiled, and look for garbage rarely meanwhile.
 
-    Numba allocates so much that a collection of everything, which takes 0.2 s, comes every second.
+    That saves a tenth of the time: Numba allocates so much that a collection of everything, which
+    takes 0.2 s, comes every second.
     """
 
     def __init__(self) -> None:
         self._usual: list[tuple[int, int, int]] = []  # of the functions that are being compiled
 
     def on_start(self, event: Any) -> None:
+        Counts.add(Counts.compiling, 1)
         self._usual.append(gc.get_threshold())
         if self._usual[0][0]:  # 0: no collections
             gc.set_threshold(max(10_000, self._usual[0][0]), 50, 50)
 
     def on_end(self, event: Any) -> None:
+        Counts.add(Counts.compiling, -1)
         gc.set_threshold(*self._usual.pop())
 
 
-event.register("numba:compile", _FewCollections())
+event.register("numba:compile", _Compilation())
 
 
 class Threads:

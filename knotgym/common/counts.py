@@ -20,6 +20,7 @@ class Counts:
             total.
         ended: `value` is the number of items that ended. Worker processes have a
             `multiprocessing.Value` here.
+        compiling: `value` is how many functions are compiled now; shared in the same way.
         worker_seconds: CPU time that worker processes of this one took, up to now.
     """
 
@@ -27,6 +28,7 @@ class Counts:
     Done: TypeAlias = float | Callable[[], float]
     listeners: ClassVar[list[Callable[[str, Done, int], None]]] = []
     ended: ClassVar[Any] = SimpleNamespace(value=0)
+    compiling: ClassVar[Any] = SimpleNamespace(value=0)
     worker_seconds: ClassVar[float] = 0.0
 
     @classmethod
@@ -47,8 +49,13 @@ class Counts:
     @classmethod
     def end_item(cls, share: float = 1.0) -> None:
         """Count an item that has ended, or a share of items, in whichever process."""
-        with getattr(cls.ended, "get_lock", nullcontext)():
-            cls.ended.value += share
+        cls.add(cls.ended, share)
+
+    @staticmethod
+    def add(counter: Any, amount: float) -> None:
+        """Add to a counter of this process, or one that processes share."""
+        with getattr(counter, "get_lock", nullcontext)():
+            counter.value += amount
 
     @classmethod
     def from_now(cls, done: int = 0, pool: Any = None) -> Callable[[], float]:

@@ -77,7 +77,8 @@ class _Processes(ProcessPoolExecutor):
         context = _context()
         self.workers, self.ended = workers, context.Value("d", 0)
         self.seconds = context.Value("d", 0)  # of CPU, of workers that have ended
-        shared = self.ended, self.seconds, [*plugins()]
+        Counts.compiling = context.Value("q", 0)
+        shared = self.ended, Counts.compiling, self.seconds, [*plugins()]
         super().__init__(workers, mp_context=context, initializer=_serve, initargs=shared)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
@@ -171,11 +172,11 @@ def _context() -> multiprocessing.context.BaseContext:
     return multiprocessing.get_context("forkserver")
 
 
-def _serve(ended: Any, seconds: Any, names: list[str]) -> None:
+def _serve(ended: Any, compiling: Any, seconds: Any, names: list[str]) -> None:
     import cv2
 
     use_plugins(names)
-    Counts.ended = ended
+    Counts.ended, Counts.compiling = ended, compiling
     # The shell's `time` doesn't see workers: they are children of the fork server.
     Finalize(None, _count_seconds, (seconds,), exitpriority=0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)

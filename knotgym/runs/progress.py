@@ -22,6 +22,7 @@ from knotgym.common import Counts
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 _NONE: Mapping[str, object] = {}
 _console = partial(Console, emoji=False, markup=False)  # names of others are shown as they are
+_COMPILING = "compiling, once"  # what is counted, beside the stage that compiles first
 _WORTH_SAYING = 5.0  # CPU seconds of a command
 _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
 
@@ -109,10 +110,14 @@ class Progress:
                 done = self._done()
                 words = [f"{int(done)} of {self._task.total:.0f}"]
                 words += [f"{fact} {value}" for fact, value in self._facts.items()]
-                words += [f"workers are starting, {self._wait()}"] * bool(self._ends and not done)
+                if Counts.compiling.value:
+                    words.append(_COMPILING)
+                elif self._ends and not done:
+                    words.append(f"workers are starting, {self._wait()}")
                 self._bars.update(self._task.id, completed=done, facts="; ".join(words))
-            elif self._ends is not None:
-                self._bars.update(self._task.id, facts=self._wait())
+            else:
+                facts = _COMPILING * bool(Counts.compiling.value)
+                self._bars.update(self._task.id, facts=self._wait() if self._ends else facts)
 
     def _wait(self) -> str:
         """Say how long the stage, or what comes before its first item, still takes."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba.core import event
 from pytest_types import Capture, Patch
 from rich.console import Console
 
@@ -164,6 +165,16 @@ def test_items_that_go_on_count_by_their_share_and_workers_start_before_the_firs
     told = [line[9:].partition("; time")[0] for line in written.getvalue().splitlines()]
     first = "playing: 0 of 2; workers are starting, about 4 s left"
     assert told == [first, *(f"playing: {count} of 2" for count in (0, 1, 1))]
+
+
+def test_what_compiles_later_than_the_engine_is_named_while_it_does() -> None:
+    written = io.StringIO()
+    with Progress(console=Console(file=written, width=200)) as progress:
+        with event.trigger_event("numba:compile"):
+            progress.stage("playing", 1, 2)
+        progress.stage("playing", 2, 2)
+    told = [line[9:] for line in written.getvalue().splitlines()]
+    assert told == ["playing: 1 of 2; compiling, once", "playing: 2 of 2"]
 
 
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:
