@@ -118,8 +118,8 @@ class EpisodeDataset:
     @property
     def metadata(self) -> dict[str, Any] | None:
         """The Minari metadata of the dataset that the file belongs to or came from, if any."""
-        found = self.attributes.get("metadata")
-        return found if isinstance(found, dict) else None
+        stored = self.attributes.get("metadata")
+        return stored if isinstance(stored, dict) else None
 
     @property
     def name(self) -> str:
@@ -140,12 +140,12 @@ class EpisodeDataset:
     @staticmethod
     def seal(attributes: Mapping[str, Any]) -> str:
         """Return the digest of a file's attributes, but for this one, as they are stored."""
-        own = {
+        sealed = {
             name: str(value) if isinstance(value, str) else json.dumps(value, sort_keys=True)
             for name, value in sorted(attributes.items())
             if name != _SEAL
         }
-        return hashlib.sha256(json.dumps(own).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(sealed).encode()).hexdigest()
 
     def digest_faults(self) -> Iterator[str]:
         """Yield what of a file isn't as it was written, of what no replay gives."""
@@ -175,12 +175,14 @@ class EpisodeDataset:
 
     def frames(self, observer: "envs.Observer") -> "envs.Frames":
         """Return its states, row by row, and its episodes' goals, for observations of them."""
-        own, steps = self.episodes
+        rows, steps = self.episodes
         last = steps.rows - 1
 
         @cache
         def _looks() -> Any:
-            return observer.appearances(zip(own["goal"].tolist(), own["goal_points"], strict=True))
+            return observer.appearances(
+                zip(rows["goal"].tolist(), rows["goal_points"], strict=True)
+            )
 
         def _draw(ids: NDArray[np.int64]) -> NDArray[np.uint8]:
             within = np.searchsorted(self.episodes.offsets, np.minimum(ids, last), side="right") - 1
@@ -188,7 +190,7 @@ class EpisodeDataset:
             points = frames.points(ids).astype(np.float64)
             return observer.draw_ropes(points, [_looks()[k] for k in episodes])
 
-        stored = steps["observation"], steps["visits"], own["goal_points"], own["goal_visits"]
+        stored = steps["observation"], steps["visits"], rows["goal_points"], rows["goal_visits"]
         frames = envs.Frames(*stored, _draw, common.Threads())
         return frames
 
@@ -235,8 +237,8 @@ class EpisodeDataset:
     @property
     def found_task(self) -> TaskConfig:
         """The task with the path of its states, so that its environment can be made."""
-        own = self.task
-        return own if is_bundled(own.states) else replace(own, states=str(self.states_path()))
+        task = self.task
+        return task if is_bundled(task.states) else replace(task, states=str(self.states_path()))
 
     def states_path(self) -> Path:
         """Return the state file that the episodes were reset from, found by its digest.
@@ -255,14 +257,14 @@ class EpisodeDataset:
             raise InvalidFile(f"{self.path} doesn't say by SHA-256 which states it was reset from")
         root = minari_root().resolve()
         carried = (root / named / "data" / STATES_FILE).resolve()
-        found = [self.path.with_name(STATES_FILE), *[carried] * carried.is_relative_to(root)]
-        found = [one for one in found if one.is_file() and not one.is_symlink()]
-        for one in found:
-            if common.sha256(one) == digest:
-                return one
-        if found:
+        candidates = [self.path.with_name(STATES_FILE), *[carried] * carried.is_relative_to(root)]
+        candidates = [one for one in candidates if one.is_file() and not one.is_symlink()]
+        for path in candidates:
+            if common.sha256(path) == digest:
+                return path
+        if candidates:
             raise InvalidFile(
-                f"{found[0]} isn't the state file that {self.path} was reset from: its SHA-256"
+                f"{candidates[0]} isn't the state file that {self.path} was reset from: its SHA-256"
                 f" should be {digest}"
             )
         raise MissingFile(
@@ -353,12 +355,12 @@ def require_alike(
 ) -> None:
     """Raise InvalidInput if datasets differ in one of their facts."""
     every = [facts(one) for one in datasets]
-    for other, own in zip(datasets[1:], every[1:], strict=True):
+    for other, values in zip(datasets[1:], every[1:], strict=True):
         for name, value in every[0].items():
-            if own[name] != value:
+            if values[name] != value:
                 raise InvalidInput(
                     f"these datasets must have one {name}: {datasets[0].path} has {value},"
-                    f" {other.path} has {own[name]}"
+                    f" {other.path} has {values[name]}"
                 )
 
 
@@ -386,17 +388,17 @@ def write_episodes(
     if not parts or len({part.is_recording for part in parts}) > 1:
         raise InvalidInput("episodes to write are a list of recordings, or of columns")
     same = fitted(parts)
-    own = dict(facts or {})
+    extra = dict(facts or {})
     if not isinstance(task, TaskConfig):
-        own["tasks"] = [common.as_json(one) for one in task]
+        extra["tasks"] = [common.as_json(one) for one in task]
         task = joined_task(task)
-    if not is_bundled(task.states) and STATES_DIGEST not in own:
-        own[STATES_DIGEST] = common.sha256(resolve_states(task.states))
-    if "engine" not in own:
-        own["engine"] = ENGINES[task.engine].behaviour()
+    if not is_bundled(task.states) and STATES_DIGEST not in extra:
+        extra[STATES_DIGEST] = common.sha256(resolve_states(task.states))
+    if "engine" not in extra:
+        extra["engine"] = ENGINES[task.engine].behaviour()
     name = "recording" if parts[0].is_recording else "columns"
     attributes = {
-        **{name: fact for name, fact in own.items() if fact is not None},
+        **{name: fact for name, fact in extra.items() if fact is not None},
         "form": name,
         "task": common.as_json(task),
         "rope": task.rope_config.fingerprint,
@@ -430,8 +432,8 @@ def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
     bins = [one for one in binned if one is not None]
     if len(bins) < len(parts):
         return packed
-    own = parts[0].steps.schema.without("force")
-    schema = own.extended(*STORED_PULLS.only("force_bins").columns)
+    without_forces = parts[0].steps.schema.without("force")
+    schema = without_forces.extended(*STORED_PULLS.only("force_bins").columns)
     return [
         one._replace(steps=Table(schema, {**one.steps, "force_bins": forces}))
         for one, forces in zip(packed, bins, strict=True)
@@ -445,22 +447,22 @@ def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
         MissingFile: starts must be drawn, and the states aren't here.
         InvalidFile: it has no forces, or starts of another rope.
     """
-    own, steps = stored.episodes
-    lacking = np.flatnonzero(~own["start_qpos"].any(axis=1))
+    rows, steps = stored.episodes
+    lacking = np.flatnonzero(~rows["start_qpos"].any(axis=1))
     if len(lacking):
-        starts = own["start_qpos"].copy()
-        drawn = _starts(stored, own.take(lacking))
+        starts = rows["start_qpos"].copy()
+        drawn = _starts(stored, rows.take(lacking))
         if drawn.shape[1] != starts.shape[1]:
             raise InvalidFile(f"{stored.path} has starts of another rope than its task")
         starts[lacking] = drawn
-        own = own.replaced(start_qpos=starts)
+        rows = rows.replaced(start_qpos=starts)
     columns = {**steps}
     if "force_bins" in columns:
         columns["force"] = Episodes.unbinned(columns.pop("force_bins"))
     if "force" not in columns:
         raise InvalidFile(f"{stored.path} has no forces")
     schema = PULLS.with_own(columns).only(*columns)
-    return replace(stored, episodes=Episodes(own, Table(schema, columns)))
+    return replace(stored, episodes=Episodes(rows, Table(schema, columns)))
 
 
 class _Form(NamedTuple):
@@ -507,17 +509,17 @@ def _digests_of(parts: Sequence[Episodes]) -> dict[str, Any]:
     """Hash sets of episodes as one; return the digests by the names of the file's attributes."""
     parts = fitted(parts)
     claims = zip(*(part.claims().items() for part in parts), strict=True)
-    found: dict[str, Any] = {"digest": _digest([part.core() for part in parts])}
-    found["given"] = {own[0][0]: Table.digest(*(table for _, table in own)) for own in claims}
+    digests: dict[str, Any] = {"digest": _digest([part.core() for part in parts])}
+    digests["given"] = {own[0][0]: Table.digest(*(table for _, table in own)) for own in claims}
     if not any(part.is_recording for part in parts):
-        found["expansion"] = _digest([part.replayed() for part in parts])
-    return found
+        digests["expansion"] = _digest([part.replayed() for part in parts])
+    return digests
 
 
 def _digest(parts: Sequence[Episodes]) -> str:
     """Hash columns (SHA-256, hexadecimal)."""
-    found = "".join(Table.digest(*tables) for tables in zip(*parts, strict=True))
-    return hashlib.sha256(found.encode()).hexdigest()
+    digests = "".join(Table.digest(*tables) for tables in zip(*parts, strict=True))
+    return hashlib.sha256(digests.encode()).hexdigest()
 
 
 def episode_file(source: Any) -> Path:
@@ -540,18 +542,18 @@ def episode_file(source: Any) -> Path:
     root, file = resolve(source), resolve(source, FILE, MAIN)
     if file.is_file():
         return file
-    found = sorted((root / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
-    found = found or [one / "data" / FILE for one in datasets_below(root)]
-    if len(found) > 1:
-        listed = ", ".join(str(one.parents[1]) for one in found[:_LISTED])
-        more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    files = sorted((root / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
+    files = files or [one / "data" / FILE for one in datasets_below(root)]
+    if len(files) > 1:
+        listed = ", ".join(str(one.parents[1]) for one in files[:_LISTED])
+        more = f" and {len(files) - _LISTED} more" if len(files) > _LISTED else ""
         raise InvalidFile(f"{root} holds several datasets; choose one of them: {listed}{more}")
-    if not found:
+    if not files:
         arrow = "; it is in Minari's format arrow: record it with data_format='hdf5'"
         is_arrow = any(root.glob("data/0/*.arrow"))
         raise MissingFile(f"no episodes at {root}{arrow * is_arrow}")
-    common.require_no_links(root, found)
-    return found[0]
+    common.require_no_links(root, files)
+    return files[0]
 
 
 def datasets_below(folder: Path) -> tuple[Path, ...]:

@@ -55,19 +55,19 @@ def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
     is_whole = dataset.rows is None and not dataset.parts
     for fault in dataset.digest_faults():
         raise InvalidFile(fault)
-    for of_task, one in dataset.setups():
+    for of_task, part in dataset.setups():
         order.append(of_task)
         for first in range(0, len(of_task), _BLOCK):
             Counts.tell("episodes played again", Counts.from_now(len(parts) * _BLOCK), rows)
-            some = one.episodes.select(np.arange(first, min(first + _BLOCK, len(of_task))))
-            parts.append(replay(some, one.found_task).with_claims(some))
+            some = part.episodes.select(np.arange(first, min(first + _BLOCK, len(of_task))))
+            parts.append(replay(some, part.found_task).with_claims(some))
     made = Episodes.merged(parts) if parts else dataset.episodes
     if len(order) > 1:
         made = made.select(np.argsort(np.concatenate(order)))
     whole = replace(dataset, episodes=made)
     if is_whole and dataset.episodes.is_recording and parts:
-        found = whole.digests["expansion"]
-        if dataset.attributes.get("expansion", found) != found:
+        digest = whole.digests["expansion"]
+        if dataset.attributes.get("expansion", digest) != digest:
             raise InvalidFile(
                 f"{dataset.path} can't be expanded to the bit: played again, its pulls lead to"
                 " other states here than where it was recorded"
@@ -109,9 +109,9 @@ def _faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
         yield from faults
         return
     yield from _protocol_faults(dataset)
-    for _, one in dataset.setups():
-        yield from _split_faults(one)
-        yield from _duplicate_faults(one)
+    for _, part in dataset.setups():
+        yield from _split_faults(part)
+        yield from _duplicate_faults(part)
     dataset = dataset.drawn(sample)
     try:
         columns = expanded(dataset, replay)
@@ -131,29 +131,29 @@ def _faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
 def show_episodes(source: Any) -> dict[str, Any]:
     """Summarize a file of episodes or a Minari dataset; every value can be written as JSON."""
     dataset = open_episodes(source)
-    own, size = dataset.episodes.episodes, dataset.path.stat().st_size
-    goals = gauss_codes(own["goal_visits"])
-    policies = own["policy"] if len(set(own["policy"].tolist())) > 1 else np.full(own.rows, "")
+    rows, size = dataset.episodes.episodes, dataset.path.stat().st_size
+    goals = gauss_codes(rows["goal_visits"])
+    policies = rows["policy"] if len(set(rows["policy"].tolist())) > 1 else np.full(rows.rows, "")
     by_policy = [f"{name} {goal}".strip() for name, goal in zip(policies, goals, strict=True)]
-    missed = [] if dataset.task.endless else dataset.episodes.missed(by_policy, own["success"])
+    missed = [] if dataset.task.endless else dataset.episodes.missed(by_policy, rows["success"])
     return {
         "path": str(dataset.path),
         "dataset_id": (dataset.metadata or {}).get("dataset_id"),
         "form": dataset.attributes["form"],
         "task": common.as_json(dataset.task),
-        "episodes": own.rows,
-        "steps": int(own["length"].sum()),
-        "lengths": _spread(own["length"]),
-        "returns": _spread(own["return_"]),
-        "successes": int(own["success"].sum()),
-        "success_rate": float(own["success"].mean()) if own.rows else None,
-        "simulation_failures": int(own["diverged"].sum()),
-        "policies": _counted(own["policy"]),
+        "episodes": rows.rows,
+        "steps": int(rows["length"].sum()),
+        "lengths": _spread(rows["length"]),
+        "returns": _spread(rows["return_"]),
+        "successes": int(rows["success"].sum()),
+        "success_rate": float(rows["success"].mean()) if rows.rows else None,
+        "simulation_failures": int(rows["diverged"].sum()),
+        "policies": _counted(rows["policy"]),
         "distinct": dataset.episodes.distinct(),
         "goals": _counted(goals),
         "missed goals": {goal: f"{n} of {of}" for goal, (n, of) in missed} or None,
         "bytes": size,
-        "bytes_per_step": size / max(1, int(own["length"].sum())),
+        "bytes_per_step": size / max(1, int(rows["length"].sum())),
         "rope": dataset.attributes.get("rope"),
         "versions": dataset.attributes.get("versions"),
         "claimed": {k: v for k in _CLAIMED if (v := (dataset.metadata or {}).get(k))} or None,
@@ -163,12 +163,12 @@ def show_episodes(source: Any) -> dict[str, Any]:
 
 def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield the faults for which nothing else can be checked."""
-    own, steps = dataset.episodes
+    rows, steps = dataset.episodes
     said, task = dataset.attributes, dataset.task
     unlike = task.rope_config.unlike(said.get("rope"))
     if unlike := unlike or ENGINES[task.engine].unlike(said.get("engine")):
         yield f"{dataset.path}: made with {unlike}"
-    for c, values in [(c, table[c.name]) for table in (own, steps) for c in table.schema.columns]:
+    for c, values in [(c, table[c.name]) for table in (rows, steps) for c in table.schema.columns]:
         if (
             values.dtype.kind == "f"
             and not (np.isfinite(values) | (c.optional & np.isnan(values))).all()
@@ -177,7 +177,7 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     advised = np.nanmax(np.abs(steps.get("expert_action", np.zeros(0))), initial=0)
     far = np.abs(steps["force"]).max(initial=0) > 1
     absent = steps["bead"].max(initial=0) >= dataset.task.beads
-    negative = (own["seed"] < -1).any() or (own["planner_steps"] < 0).any()
+    negative = (rows["seed"] < -1).any() or (rows["planner_steps"] < 0).any()
     led = "macro_side" not in steps or _fit_macros(dataset)
     wrong = {
         "a pull is of a bead or with a force that doesn't exist": far or absent,
@@ -186,7 +186,7 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         "a pull isn't one of the macro-action that it belongs to": not led,
     }
     yield from (f"{dataset.path}: {fault}" for fault, found in wrong.items() if found)
-    missing = (own["goal"] < 0) | (own["start"] < 0)
+    missing = (rows["goal"] < 0) | (rows["start"] < 0)
     if missing.any():
         yield f"{dataset.path}, episode {missing.argmax()}: it names no start, or no goal"
     yield from dataset.digest_faults()
@@ -203,16 +203,16 @@ def _fit_macros(dataset: EpisodeDataset) -> bool:
 
 def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield where codes aren't those of the vertices, or goals not those that their codes say."""
-    (own, steps), points = dataset.episodes, dataset.episodes.steps["observation"]
-    chiral, wanted = gauss_codes(steps["visits"], steps["signs"]), gauss_codes(own["goal_visits"])
-    shown = label_many(own["goal_points"].astype(np.float64))
+    (rows, steps), points = dataset.episodes, dataset.episodes.steps["observation"]
+    chiral, wanted = gauss_codes(steps["visits"], steps["signs"]), gauss_codes(rows["goal_visits"])
+    shown = label_many(rows["goal_points"].astype(np.float64))
     begins = gauss_codes(steps["visits"][dataset.episodes.offsets[:-1]])
-    told = Counts.over(dataset.episodes.last().tolist(), "codes read again", own.rows)
+    told = Counts.over(dataset.episodes.last().tolist(), "codes read again", rows.rows)
     for row, last in enumerate(told):
         where, goal = f"episode {dataset.numbers[row]}", str(wanted[row])
         if str(shown[row]) != goal:
             yield f"{where}: its goal shows {str(shown[row])!r}, not {goal!r}"
-        second, step = pyknotid_code(points[last].astype(np.float64)).chiral, own["length"][row]
+        second, step = pyknotid_code(points[last].astype(np.float64)).chiral, rows["length"][row]
         if second != (first := str(chiral[last])):
             yield f"{where}, step {step}: pyknotid reads {second!r}, the file says {first!r}"
         here, there = (knot_type(GaussCode.parse(code)) for code in (str(begins[row]), goal))
@@ -245,19 +245,19 @@ def _split_faults(dataset: EpisodeDataset) -> list[str]:
     except KnotgymError as error:
         skipped = isinstance(error, MissingFile) and dataset.metadata is None
         return [] if skipped else [f"{dataset.path}: its split can't be checked: {error}"]
-    own, task = dataset.episodes.episodes, dataset.task
+    rows, task = dataset.episodes.episodes, dataset.task
     faults: list[str] = []
     for name, states in (("start", batch.starts), ("goal", batch.goals)):
         allowed = set(batch.rows[name].tolist())
-        for row, named in enumerate(own[name].tolist()):
+        for row, named in enumerate(rows[name].tolist()):
             if not 0 <= named < len(states):
                 fault = f"its {name} is row {named}, of {len(states)} states"
             elif named not in allowed:
                 fault = f"its {name} is row {named}, none of those of the {task.split} split"
             elif name == "start":
-                fault = _start_fault(batch, own["start_qpos"][row], own["seed"][row], named)
-            elif "goal_points" in own and not np.array_equal(
-                own["goal_points"][row], states.points[named].astype(np.float32)
+                fault = _start_fault(batch, rows["start_qpos"][row], rows["seed"][row], named)
+            elif "goal_points" in rows and not np.array_equal(
+                rows["goal_points"][row], states.points[named].astype(np.float32)
             ):
                 fault = f"its goal isn't row {named} of the states, as the column goal says"
             else:
@@ -282,8 +282,8 @@ def shared_faults(
         return f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]})"
 
     sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
-    for one, other in combinations(sorted(set(split.tolist()), reverse=True), 2):
-        rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
+    for split_name, other in combinations(sorted(set(split.tolist()), reverse=True), 2):
+        rows, others = (np.flatnonzero(sound & (split == name)) for name in (split_name, other))
         for i, k, apart in pairs_within(points[others], points[rows]):
             yield (
                 f"{_both(rows[k], others[i])} are near-duplicates: {1000 * apart:.1f} mm apart at"
@@ -342,8 +342,8 @@ def _protocol_faults(dataset: EpisodeDataset) -> Iterator[str]:
         yield f"{dataset.path}: its protocol has seed {seed!r} and {count!r} episodes of {rows}"
         return
     wanted = [Stream.EVALUATION_EPISODE.derived_seed(seed, number) for number in range(count)]
-    for number, (_, one) in enumerate(dataset.setups(), 1):
-        if one.episodes.episodes["seed"].tolist() != wanted:
+    for number, (_, part) in enumerate(dataset.setups(), 1):
+        if part.episodes.episodes["seed"].tolist() != wanted:
             yield f"{dataset.path}, setup {number}: its episodes aren't those of its protocol"
 
 
@@ -363,17 +363,17 @@ def _start_faults(dataset: EpisodeDataset) -> Iterator[str]:
     batch = EpisodeBatch(dataset.found_task)
     for first in range(0, rows.rows, _BLOCK):
         some = np.arange(first, min(first + _BLOCK, rows.rows))
-        own = rows.take(some)
+        block = rows.take(some)
         # begun again as the run began them, which draws start, goal and noise from the seed
-        drawn = batch.drawn(own["seed"].clip(0).tolist())
-        off = np.abs(drawn["start_qpos"] - own["start_qpos"]).max(axis=1)
+        drawn = batch.drawn(block["seed"].clip(0).tolist())
+        off = np.abs(drawn["start_qpos"] - block["start_qpos"]).max(axis=1)
         wrong = {
-            "its seed is none of the run's": ~np.isin(own["seed"], of_run),
-            "its seed draws another start": drawn["start"] != own["start"],
-            "its seed draws another goal": drawn["goal"] != own["goal"],
+            "its seed is none of the run's": ~np.isin(block["seed"], of_run),
+            "its seed draws another start": drawn["start"] != block["start"],
+            "its seed draws another goal": drawn["goal"] != block["goal"],
             "its seed draws another noise of the start": off > _ROUNDING,
         }
-        for row, found in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):
-            if any(found):
+        for row, faulty in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):
+            if any(faulty):
                 number = dataset.numbers[row]
-                yield f"{dataset.path}, episode {number}: {[*wrong][found.index(True)]}"
+                yield f"{dataset.path}, episode {number}: {[*wrong][faulty.index(True)]}"

@@ -163,8 +163,8 @@ class Episodes(NamedTuple):
         if self.is_recording:
             return self
         kept = Episodes(*(table.only(*_kept(table.schema).names) for table in self))
-        own = {**kept.episodes, _DIGEST.name: self._state_digests()}
-        return kept._replace(episodes=Table(kept.episodes.schema.extended(_DIGEST), own))
+        columns = {**kept.episodes, _DIGEST.name: self._state_digests()}
+        return kept._replace(episodes=Table(kept.episodes.schema.extended(_DIGEST), columns))
 
     def of_setup(self, setup: ArrayLike) -> "Episodes":
         """Return the episodes with the column `setup`, one number or (n,)."""
@@ -199,10 +199,10 @@ class Episodes(NamedTuple):
     def with_claims(self, stored: "Episodes") -> "Episodes":
         """Return the episodes, played again, with what nothing can make again of those stored."""
         tables = list[Table]()
-        for made, own in zip(self, stored, strict=True):
-            given = (c for c in own.schema.columns if c.origin == "given")
+        for made, table in zip(self, stored, strict=True):
+            given = (c for c in table.schema.columns if c.origin == "given")
             names = [c.name for c in given if _is_claim(c) or c.name not in made]
-            claims = own.only(*names if made.rows == own.rows else ())
+            claims = table.only(*names if made.rows == table.rows else ())
             schema = made.schema.extended(*claims.schema.columns)
             tables.append(Table(schema, {**made, **claims}))
         return Episodes(*tables)
@@ -263,8 +263,8 @@ class Episodes(NamedTuple):
         for schema in (EPISODES, STEPS):
             named = {name.removeprefix(f"{schema.name}/"): own for name, own in columns.items()}
             schema = schema.with_own(named)
-            own = {name: named[name] for name in schema.names if name in named}
-            tables.append(Table(schema.only(*own), own))
+            present = {name: named[name] for name in schema.names if name in named}
+            tables.append(Table(schema.only(*present), present))
         return cls(*tables)
 
     @classmethod
@@ -282,9 +282,9 @@ class Episodes(NamedTuple):
         at = np.arange(int(lengths.sum())) + np.repeat(np.arange(len(lengths)), lengths)
         for name, values in steps.items():
             values[at] = pulls[name]
-        own = {"length": lengths, "planner_steps": np.zeros_like(lengths)}
-        own["policy"] = np.full(len(lengths), policy)
-        return cls(Table(RECORDED.only(*own), own), Table(schema, steps))
+        rows = {"length": lengths, "planner_steps": np.zeros_like(lengths)}
+        rows["policy"] = np.full(len(lengths), policy)
+        return cls(Table(RECORDED.only(*rows), rows), Table(schema, steps))
 
     @staticmethod
     def to_begin(start_qpos: ArrayLike, seed: ArrayLike, **more: ArrayLike) -> Table:
@@ -297,8 +297,8 @@ class Episodes(NamedTuple):
         """
         schema = STARTS.sized(nq=np.shape(start_qpos)[1])
         given = {"start_qpos": start_qpos, "seed": seed, **more}
-        own = {name: np.asarray(values) for name, values in given.items()}
-        return Table(schema, {**schema.empty(len(own["seed"])), **own})
+        columns = {name: np.asarray(values) for name, values in given.items()}
+        return Table(schema, {**schema.empty(len(columns["seed"])), **columns})
 
     def pulls(self) -> Table:
         """Return the rows of steps in which a pull is made: all but the last of each episode."""
@@ -357,22 +357,22 @@ class Episodes(NamedTuple):
 
     def differing(self, other: "Episodes") -> list[tuple[int, int, str]]:
         """Return the row, step and column of each of the `differences`; step -1 of an episode's."""
-        one, other = _same_width([self, other])
-        found: list[tuple[int, int, str]] = []
-        for name in one.episodes.keys() & other.episodes.keys():
-            rows = _differing(one.episodes, other.episodes, name)
-            found += [(row, -1, name) for row in rows.tolist()]
+        mine, other = _same_width([self, other])
+        differences: list[tuple[int, int, str]] = []
+        for name in mine.episodes.keys() & other.episodes.keys():
+            rows = _differing(mine.episodes, other.episodes, name)
+            differences += [(row, -1, name) for row in rows.tolist()]
         # steps are compared where episodes have as many
-        alike = np.flatnonzero(one.episodes["length"] == other.episodes["length"])
-        if len(alike) < one.episodes.rows:
-            one, other = one.select(alike), other.select(alike)
-        owner, offsets = one.episode_of(), one.offsets
-        for name in one.steps.keys() & other.steps.keys():
-            rows = _differing(one.steps, other.steps, name)
+        alike = np.flatnonzero(mine.episodes["length"] == other.episodes["length"])
+        if len(alike) < mine.episodes.rows:
+            mine, other = mine.select(alike), other.select(alike)
+        owner, offsets = mine.episode_of(), mine.offsets
+        for name in mine.steps.keys() & other.steps.keys():
+            rows = _differing(mine.steps, other.steps, name)
             for row in rows[np.unique(owner[rows], return_index=True)[1]].tolist():
                 k, step = int(alike[owner[row]]), int(row - offsets[owner[row]])
-                found.append((k, step, name))
-        return sorted(found)
+                differences.append((k, step, name))
+        return sorted(differences)
 
     def codes_held(self, task: TaskConfig) -> tuple[Ids, Ids]:
         """Number the code of each state, and count for how many steps it has been shown.
@@ -433,10 +433,10 @@ class Episodes(NamedTuple):
             bool (rows,), for each row of steps.
         """
         (ids, held), episode = self.codes_held(task), self.episode_of()
-        own = self.episodes
-        goals = own["goal_visits"][episode]
+        rows = self.episodes
+        goals = rows["goal_visits"][episode]
         shown = Situation.shown(task, self.steps["visits"], goals)
-        wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
+        wanted = np.where(rows["hold"] > 0, rows["hold"], task.hold)
         return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
 
     def _state_digests(self) -> NDArray[np.uint8]:
@@ -444,28 +444,28 @@ class Episodes(NamedTuple):
 
         It covers the start, all states with their codes, and the pulls; rewards and ends follow.
         """
-        (own, steps), length = self, int(_DIGEST.shape[0])
-        found = np.zeros((own.rows, length), dtype=np.uint8)
+        (rows, steps), length = self, int(_DIGEST.shape[0])
+        digests = np.zeros((rows.rows, length), dtype=np.uint8)
         for row, (first, end) in enumerate(pairwise(self.offsets.tolist())):
             states, pulls = slice(first, end), slice(first, end - 1)
             # codes of sets are padded to different widths, so zeros don't count
             codes = [steps[name][states] for name in ("visits", "signs")]
-            parts = [own["start_qpos"][row], steps["observation"][states], steps["bead"][pulls]]
+            parts = [rows["start_qpos"][row], steps["observation"][states], steps["bead"][pulls]]
             parts += [steps["force"][pulls], steps["crossings"][states]]
             parts += [code[code != 0] for code in codes]
             whole = b"".join(part.tobytes() for part in parts)
-            found[row] = np.frombuffer(hashlib.sha256(whole).digest()[:length], dtype=np.uint8)
-        return found
+            digests[row] = np.frombuffer(hashlib.sha256(whole).digest()[:length], dtype=np.uint8)
+        return digests
 
     def digests(self) -> list[bytes]:
         """Hash the start, goal and pulls of each episode; equal episodes have equal digests."""
-        (own, steps), found = self, list[bytes]()
+        (rows, steps), hashed = self, list[bytes]()
         for row, (first, end) in enumerate(pairwise(self.offsets.tolist())):
-            whole = hashlib.sha256(own["start_qpos"][row].tobytes() + own["goal"][row].tobytes())
-            whole.update(np.trim_zeros(own["goal_visits"][row], "b").tobytes())
+            whole = hashlib.sha256(rows["start_qpos"][row].tobytes() + rows["goal"][row].tobytes())
+            whole.update(np.trim_zeros(rows["goal_visits"][row], "b").tobytes())
             whole.update(steps["bead"][first:end].tobytes() + steps["force"][first:end].tobytes())
-            found.append(whole.digest())
-        return found
+            hashed.append(whole.digest())
+        return hashed
 
 
 class Statistics:
@@ -540,17 +540,17 @@ def gauss_codes(
 def _widened(table: Table, sizes: dict[str, int]) -> Table:
     """Return a table whose codes are as wide as `sizes` says; what is cut off is zero."""
     codes = {c.name: sizes[str(c.shape[0])] for c in table.schema.columns if c.shape in _OF_CODES}
-    own = {name: padded(table[name], width) for name, width in codes.items()}
-    return Table(table.schema.sized(**sizes), {**table, **own})
+    columns = {name: padded(table[name], width) for name, width in codes.items()}
+    return Table(table.schema.sized(**sizes), {**table, **columns})
 
 
-def _differing(one: Table, other: Table, name: str) -> Ids:
+def _differing(table: Table, other: Table, name: str) -> Ids:
     """Return the rows whose values of a column differ in any bit; all if the shapes differ.
 
     Rows in which the other table has no value of an optional column don't differ.
     """
-    (column,), a, b = other.schema.only(name).columns, one[name], other[name]
-    if _is_claim(column) and one.schema.name == EPISODES.name:
+    (column,), a, b = other.schema.only(name).columns, table[name], other[name]
+    if _is_claim(column) and table.schema.name == EPISODES.name:
         return np.zeros(0, dtype=np.int64)
     if a.shape != b.shape:
         return np.arange(min(1, max(len(a), len(b))))
@@ -558,9 +558,9 @@ def _differing(one: Table, other: Table, name: str) -> Ids:
         return np.flatnonzero((a != b).reshape(len(a), -1).any(axis=1))
     if not a.size:
         return np.zeros(0, dtype=np.int64)
-    bits, found = (np.ascontiguousarray(x).reshape(len(x), -1).view(np.uint8) for x in (a, b))
-    unlike = (bits != found).any(axis=1)
+    bits, stored = (np.ascontiguousarray(x).reshape(len(x), -1).view(np.uint8) for x in (a, b))
+    unlike = (bits != stored).any(axis=1)
     if column.optional and column.no_value is not None and column.name not in MACROS:
-        nothing = np.full((1, found.shape[1] // b.itemsize), column.no_value, b.dtype)
-        unlike &= (found != nothing.view(np.uint8)).any(axis=1)
+        nothing = np.full((1, stored.shape[1] // b.itemsize), column.no_value, b.dtype)
+        unlike &= (stored != nothing.view(np.uint8)).any(axis=1)
     return np.flatnonzero(unlike)

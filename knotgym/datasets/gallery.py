@@ -66,17 +66,17 @@ def _write(path: Path, tiles: Sequence[Tile]) -> None:
     path.write_bytes(encode(_contact_sheet(tiles)))
 
 
-def write_sheet(path: Path, found: "Located") -> str:
+def write_sheet(path: Path, located: "Located") -> str:
     """Write the contact sheet of states, episodes or pictures; return a one-line summary."""
-    if found.pictures:
-        tiles, count = _picture_tiles(found.pictures)
+    if located.pictures:
+        tiles, count = _picture_tiles(located.pictures)
         what = "pictures"
-    elif found.states:
-        states = read_states(found.states, images=False)
+    elif located.states:
+        states = read_states(located.states, images=False)
         tiles, what, count = _state_tiles(states), "states", len(states)
     else:
-        tiles, what = _episode_tiles(found.episodes), "episodes, each at its end"
-        count = sum(columns_of(one).episodes.episodes.rows for one in found.episodes)
+        tiles, what = _episode_tiles(located.episodes), "episodes, each at its end"
+        count = sum(columns_of(one).episodes.episodes.rows for one in located.episodes)
     _write(path, tiles)
     return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
 
@@ -110,19 +110,19 @@ def _episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 
     opened, tiles = [columns_of(dataset) for dataset in datasets], list[Tile]()
     every, strata = list[tuple[int, int]](), list[tuple[int, int, bool]]()
-    for number, one in enumerate(opened):
-        own = one.episodes.episodes
-        crossings = (np.count_nonzero(own["goal_visits"], axis=1) // 2).tolist()
-        every += [(number, row) for row in range(own.rows)]
-        outcomes = own["success"].tolist()
+    for number, opened_set in enumerate(opened):
+        rows = opened_set.episodes.episodes
+        crossings = (np.count_nonzero(rows["goal_visits"], axis=1) // 2).tolist()
+        every += [(number, row) for row in range(rows.rows)]
+        outcomes = rows["success"].tolist()
         strata += [(number, *pair) for pair in zip(crossings, outcomes, strict=True)]
     for number, row in (every[k] for k in _sample(strata)):
-        (own, steps), last = opened[number].episodes, opened[number].episodes.last()[row]
-        both = steps["visits"][[last]], own["goal_visits"][[row]]
+        (rows, steps), last = opened[number].episodes, opened[number].episodes.last()[row]
+        both = steps["visits"][[last]], rows["goal_visits"][[row]]
         code, goal = (str(gauss_codes(visits)[0]) or "loop" for visits in both)
-        outcome = "reached" if own["success"][row] else "failed"
+        outcome = "reached" if rows["success"][row] else "failed"
         name = f"{opened[number].name}  " if len(opened) > 1 else ""
-        end = outcome if own["success"][row] else f"{outcome}, goal {goal}"
+        end = outcome if rows["success"][row] else f"{outcome}, goal {goal}"
         captions = (code, f"{name}episode {row}", end)
         points = steps["observation"][last].astype(np.float64)
         tiles.append(Tile(draw_diagram(points), captions, Film.OUTCOMES[outcome]))
@@ -131,16 +131,16 @@ def _episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 
 def _picture_tiles(table: str | os.PathLike[str]) -> tuple[list[Tile], int]:
     """Return a sample of SHOWN pictures of a perception table, even over splits and nx, of all."""
-    found = read_table(table, columns=["image", "gauss_code_chiral", "split", "nx"])
-    rows = _sample([*zip(found["split"].to_pylist(), found["nx"].to_pylist(), strict=True)])
+    pictures = read_table(table, columns=["image", "gauss_code_chiral", "split", "nx"])
+    rows = _sample([*zip(pictures["split"].to_pylist(), pictures["nx"].to_pylist(), strict=True)])
     tiles = [
         Tile(
             np.asarray(cv2.resize(decode(row["image"]["bytes"]), (_TILE, _TILE)), np.uint8),
             (row["gauss_code_chiral"] or "loop", f"{row['split']}  nx {row['nx']}"),
         )
-        for row in found.take(rows).to_pylist()
+        for row in pictures.take(rows).to_pylist()
     ]
-    return tiles, len(found)
+    return tiles, len(pictures)
 
 
 def _sample(strata: Sequence[Hashable], most: int = SHOWN) -> list[int]:
@@ -154,8 +154,8 @@ def _sample(strata: Sequence[Hashable], most: int = SHOWN) -> list[int]:
         rows.setdefault(stratum, []).append(row)
     chosen, left = list[int](), min(most, len(strata))
     # the smallest first, so that what they leave goes to the others
-    for number, own in enumerate(sorted(rows.values(), key=len)):
-        count = min(len(own), left // (len(rows) - number))
-        chosen += [own[k * len(own) // count] for k in range(count)]
+    for number, stratum_rows in enumerate(sorted(rows.values(), key=len)):
+        count = min(len(stratum_rows), left // (len(rows) - number))
+        chosen += [stratum_rows[k * len(stratum_rows) // count] for k in range(count)]
         left -= count
     return sorted(chosen)

@@ -71,8 +71,8 @@ def _columns_among(names: Collection[str]) -> dict[str, Any]:
 
     They are COLUMNS, and own ones of appearances, those of a file if all are among the names.
     """
-    own = [columns for kind in APPEARANCES.values() for columns in kind.own_columns]
-    more = [one for one in own if one.keys() <= set(names)]
+    tables = [columns for kind in APPEARANCES.values() for columns in kind.own_columns]
+    more = [one for one in tables if one.keys() <= set(names)]
     return COLUMNS | {name: column["type"] for one in more for name, column in one.items()}
 
 
@@ -155,7 +155,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     fields = ("x", "y", *names)
     kinds = APPEARANCES[drawn.look.name].own_columns
     images = {name for own in kinds for name, kind in own.items() if kind["type"] == "image"}
-    own = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
+    more = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
     grained = APPEARANCES[drawn.look.name].grained or drawn.look.noise > 0
     return {
         **_of_code(rope.code),
@@ -164,7 +164,7 @@ def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
         "grade": grade_of(rope.quality.ease()),
         "quality": dict(vars(rope.quality)),
         "image": encode(drawn.image, grained=grained),
-        **own,
+        **more,
     }
 
 
@@ -346,10 +346,10 @@ def _read(path: Path, columns: list[str] | None, images: bool) -> Any:
     with _faults_named(path):
         file = arrow("pyarrow.parquet").ParquetFile(path)
         named = _named(file.schema_arrow)
-        found = named.get("format", "none"), named.get("format_version", "none")
-    if found != (FORMAT, VERSION):
+        version = named.get("format", "none"), named.get("format_version", "none")
+    if version != (FORMAT, VERSION):
         raise InvalidFile(
-            f"{path} has format {found[0]!r} version {found[1]}; this version reads {FORMAT!r}"
+            f"{path} has format {version[0]!r} version {version[1]}; this version reads {FORMAT!r}"
             f" version {VERSION}"
         )
     with _faults_named(path):
@@ -383,12 +383,12 @@ def _named(schema: Any) -> dict[str, Any]:
 
 def _require_schema(file: Any, stored: int) -> None:
     """Refuse a shard with other columns or types, or with sizes that its bytes can't hold."""
-    found = file.schema_arrow
-    for wanted in _schema(_columns_among(found.names)):
-        at = found.get_all_field_indices(wanted.name)
+    schema = file.schema_arrow
+    for wanted in _schema(_columns_among(schema.names)):
+        at = schema.get_all_field_indices(wanted.name)
         if len(at) != 1:
             raise InvalidFile(f"column {wanted.name} must exist once, found {len(at)}")
-        kind = found.field(at[0]).type
+        kind = schema.field(at[0]).type
         measured = wanted.name == _MEASURES and kind.num_fields
         # a table from before a measure was added lacks it
         if kind != wanted.type and not (measured and {*kind} <= {*wanted.type}):

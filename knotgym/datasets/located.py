@@ -68,9 +68,9 @@ class Located(NamedTuple):
         """The files that hold the data."""
         files = shards(self.pictures) if self.pictures else []
         files += [self.states] if self.states else []
-        for one in self.episodes:
-            data = episode_file(one)
-            files += data_files(data.parent) if one.is_dir() else [data]
+        for dataset in self.episodes:
+            data = episode_file(dataset)
+            files += data_files(data.parent) if dataset.is_dir() else [data]
         return files
 
     def counts(self, sample: int = 0) -> Counter[str]:
@@ -82,14 +82,14 @@ class Located(NamedTuple):
             states = read_states(self.states, images=False)
             counts["Gauss codes"] = len(states)
             counts["ropes of their points alone, not of a run"] = len(states) * (not states.source)
-        for one in self.episodes:
-            own = (whole := open_episodes(one)).drawn(sample).episodes.episodes
-            counts["demonstrations" if self.states else "episodes"] += own.rows
-            if own.rows < (rows := whole.episodes.episodes.rows):
+        for source in self.episodes:
+            drawn = (whole := open_episodes(source)).drawn(sample).episodes.episodes
+            counts["demonstrations" if self.states else "episodes"] += drawn.rows
+            if drawn.rows < (rows := whole.episodes.episodes.rows):
                 # no fault in n: with 95 % confidence at most 3 / n are wrong, the rule of three
-                said = f"drawn of {rows} (95 % sure: under {300 / own.rows:.2g} % wrong)"
-                counts[said] = own.rows
-            counts["steps replayed"] += int(own["length"].sum())
+                said = f"drawn of {rows} (95 % sure: under {300 / drawn.rows:.2g} % wrong)"
+                counts[said] = drawn.rows
+            counts["steps replayed"] += int(drawn["length"].sum())
         counts["checksums"] = len(read_manifest(self.root)[0].get("files", {}))
         return counts
 
@@ -116,15 +116,15 @@ def locate(named: str) -> Located:
         InvalidFile: a file is a link, which could lead to a private file of the user.
     """
     root = resolve(named)
-    found = _located(root)
-    if found is None:
+    located = _located(root)
+    if located is None:
         by_minari = any((root / name).is_file() for name in ("metadata.json", "data/metadata.json"))
         theirs = " that knotgym wrote; what Minari recorded can be loaded, but not checked"
         raise InvalidInput(
             f"{named} contains no states.h5, no pictures and no Minari dataset{theirs * by_minari}"
         )
-    require_no_links(root, found.files)
-    return found
+    require_no_links(root, located.files)
+    return located
 
 
 def _located(root: Path) -> Located | None:
@@ -136,8 +136,8 @@ def _located(root: Path) -> Located | None:
         return Located(root, episodes=(root,)) if is_episodes else Located(root, states=root)
     if any((root / name).is_file() for name in ("states.h5", "manifest.json")):
         return Located(root, resolve_states(root), datasets_below(root / "minari"))
-    found = datasets_below(root)
-    return Located(root, episodes=found) if found else None
+    datasets = datasets_below(root)
+    return Located(root, episodes=datasets) if datasets else None
 
 
 def try_files(paths: Iterable[Path], pool: Executor) -> None:

@@ -108,8 +108,8 @@ def machine() -> dict[str, str]:
 
 def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
     """Yield listed files that are missing or changed, and data files that aren't listed."""
-    found = [path for kind in ("*.h*5", "*.json", "*.parquet") for path in folder.rglob(kind)]
-    for path in sorted(found) if manifest else ():
+    data_files = [path for kind in ("*.h*5", "*.json", "*.parquet") for path in folder.rglob(kind)]
+    for path in sorted(data_files) if manifest else ():
         name = path.relative_to(folder).as_posix()
         if path.is_file() and name not in {"manifest.json", *manifest["files"]}:
             yield f"{name} is not in the manifest"

@@ -60,9 +60,9 @@ def merge(
     """
     if not given:
         raise InvalidInput("nothing to merge: give at least one dataset")
-    found, sources = [opened(name).data for name in given], [resolve(name) for name in given]
-    states = [one for one in found if isinstance(one, States)]
-    datasets = [one for one in found if isinstance(one, EpisodeDataset)]
+    opened_data, sources = [opened(name).data for name in given], [resolve(name) for name in given]
+    states = [one for one in opened_data if isinstance(one, States)]
+    datasets = [one for one in opened_data if isinstance(one, EpisodeDataset)]
     if len(given) not in (len(states), len(datasets)):
         kinds = ", ".join(locate(name).kind for name in given)
         raise InvalidInput(f"datasets to merge are all of states or all of episodes, got {kinds}")

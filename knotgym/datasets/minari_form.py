@@ -156,13 +156,13 @@ def publish(
     with common.atomic_write(folder, overwrite=overwrite) as temporary:
         data = temporary / "data"
         data.mkdir(parents=True)
-        own = {**(facts or {}), "metadata": asdict(metadata)}
+        extra = {**(facts or {}), "metadata": asdict(metadata)}
         if states is not None:
             copy_file(Path(states), data / STATES_FILE)
-            own[STATES_DIGEST] = common.sha256(data / STATES_FILE)
+            extra[STATES_DIGEST] = common.sha256(data / STATES_FILE)
         # what is stepped again is read once, so it needn't be mapped
         pack = all(part.is_recording for part in parts)
-        write_episodes(data / FILE, parts, task, own, pack=pack)
+        write_episodes(data / FILE, parts, task, extra, pack=pack)
         wanted = form == "minari" or (not form and pulls <= MINARI_STEPS)
         if wanted and not any(part.is_recording for part in parts):
             write_minari(open_episodes(data / FILE), data)
@@ -261,10 +261,10 @@ def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
     if not main.exists() and not described.exists():
         return
     try:
-        found = common.read_json(described)
-        expected, sealed = json.loads(json.dumps(_minari_entries(dataset))), found.get(_SEALED)
-        for name in sorted({**expected, **found}.keys() - {*_COUNTED, "statistics", _SEALED}):
-            if not _same_json(found.get(name), expected.get(name)):
+        entries = common.read_json(described)
+        expected, sealed = json.loads(json.dumps(_minari_entries(dataset))), entries.get(_SEALED)
+        for name in sorted({**expected, **entries}.keys() - {*_COUNTED, "statistics", _SEALED}):
+            if not _same_json(entries.get(name), expected.get(name)):
                 yield f"{described}: {name} isn't what follows from the episodes"
         some = dataset.drawn(_COMPARED) if sealed is not None else dataset
         statistics = _Statistics()
@@ -277,9 +277,9 @@ def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
                 name = f"episode_{k}"
                 for fault in _different(file, name, attributes, arrays):
                     yield f"{main}: {fault}"
-        if some is dataset and not _same_json(found.get("statistics"), statistics.found()):
+        if some is dataset and not _same_json(entries.get("statistics"), statistics.found()):
             yield f"{described}: statistics isn't what follows from the episodes"
-        if sealed is not None and sealed != _seals(dataset, main, found):
+        if sealed is not None and sealed != _seals(dataset, main, entries):
             yield f"{data}: Minari's form isn't the one that was written with the episodes"
     except Exception as error:  # there is no end to what foreign bytes make h5py raise
         yield f"{data}: Minari's form can't be read: {one_line(error)}"
@@ -287,8 +287,8 @@ def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
 
 def _seals(dataset: EpisodeDataset, main: Path, entries: Mapping[str, Any]) -> dict[str, str]:
     """Return digests of the columns, of their file's attributes and of Minari's two files."""
-    own = {name: value for name, value in entries.items() if name != _SEALED}
-    text = json.dumps(own, sort_keys=True).encode()
+    unsealed = {name: value for name, value in entries.items() if name != _SEALED}
+    text = json.dumps(unsealed, sort_keys=True).encode()
     columns = {name: str(dataset.attributes.get(name)) for name in ("digest", "expansion")}
     return {**columns, MAIN: common.sha256(main), METADATA: hashlib.sha256(text).hexdigest()}
 
@@ -375,9 +375,9 @@ def _contents(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], Arrays]
 
 def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], Arrays]]:
     """Yield each episode's attributes and its arrays by path, except the observations."""
-    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
+    (rows, steps), offsets = dataset.episodes, dataset.episodes.offsets
     failed = np.zeros(steps.rows, dtype=bool)
-    failed[dataset.episodes.last()] = own["diverged"]
+    failed[dataset.episodes.last()] = rows["diverged"]
     share = steps["applied_fraction"].astype(np.float64)
     applied = share[:, None] * steps["force"].astype(np.float64)
     applied *= dataset.task.rope_config.max_force
@@ -388,7 +388,7 @@ def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], 
         moved[offsets[:-1]] = at_first
         return moved
 
-    goals = gauss_codes(own["goal_visits"])
+    goals = gauss_codes(rows["goal_visits"])
     infos = {
         "gauss_code": gauss_codes(steps["visits"]),
         "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
@@ -406,13 +406,13 @@ def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], 
         for c in steps.schema.columns
         if c.optional
     }
-    numbers = {"seed": own["seed"], "options/start": own["start"], "options/goal": own["goal"]}
-    for k in range(own.rows):
+    numbers = {"seed": rows["seed"], "options/start": rows["start"], "options/goal": rows["goal"]}
+    for k in range(rows.rows):
         pulls, states = slice(offsets[k], offsets[k + 1] - 1), slice(offsets[k], offsets[k + 1])
         attributes: dict[str, Any] = {
             "id": int(dataset.numbers[k]),
-            "total_steps": int(own["length"][k]),
-            "policy": str(own["policy"][k]),
+            "total_steps": int(rows["length"][k]),
+            "policy": str(rows["policy"][k]),
             "goal_gauss_code": str(goals[k]),
             **{name: int(column[k]) for name, column in numbers.items() if column[k] >= 0},
         }
@@ -432,9 +432,9 @@ def _different(
     stored: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Arrays
 ) -> Iterator[str]:
     """Yield the arrays and attributes of an episode that aren't those of the columns."""
-    own: dict[str, Any] = {}
-    stored[name].visititems(own.__setitem__)
-    held = {path: one for path, one in own.items() if not isinstance(one, h5py.Group)}
+    items: dict[str, Any] = {}
+    stored[name].visititems(items.__setitem__)
+    held = {path: one for path, one in items.items() if not isinstance(one, h5py.Group)}
     for path in sorted(held.keys() ^ arrays.keys()):
         yield f"{name}/{path} is {'missing' if path in arrays else 'not written by knotgym'}"
     said = dict(stored[name].attrs)
@@ -442,11 +442,12 @@ def _different(
     if said != attributes:
         yield f"{name}: its attributes aren't those of the columns"
     for path in sorted(held.keys() & arrays.keys()):
-        one, right = held[path], _stored(arrays[path])
+        kept, right = held[path], _stored(arrays[path])
         # nothing outside the file is read, and nothing is unpickled
-        here = isinstance(one, h5py.Dataset) and not (one.external or one.is_virtual)
-        same = here and (one.dtype, one.shape) == (right.dtype, right.shape)
-        if not same or one[()].tobytes() != right.tobytes():  # NaN is none's equal
+        here = isinstance(kept, h5py.Dataset)
+        here = here and not (kept.external or kept.is_virtual)
+        same = here and (kept.dtype, kept.shape) == (right.dtype, right.shape)
+        if not same or kept[()].tobytes() != right.tobytes():  # NaN is none's equal
             yield f"{name}/{path} isn't that of the columns"
 
 
@@ -465,15 +466,15 @@ def _stored(array: NDArray[Any]) -> NDArray[Any]:
 def _write_group(file: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Arrays) -> None:
     """Write a group with attributes and arrays, whose paths have one slash at most."""
     whole = h5g.create(file.id, name.encode(), gcpl=_GROUP)
-    for own, value in sorted(attributes.items()):
+    for attribute, value in sorted(attributes.items()):
         text = np.array(value, _TEXT) if isinstance(value, str) else np.array(value)
-        h5a.create(whole, own.encode(), _type(text.dtype), h5s.create(h5s.SCALAR)).write(text)
+        h5a.create(whole, attribute.encode(), _type(text.dtype), h5s.create(h5s.SCALAR)).write(text)
     groups = {"": whole}
     for path, array in arrays.items():
-        folder, _, own = path.rpartition("/")
+        folder, _, leaf = path.rpartition("/")
         if folder not in groups:
             groups[folder] = h5g.create(whole, folder.encode(), gcpl=_GROUP)
-        _write_array(groups[folder], own.encode(), array)
+        _write_array(groups[folder], leaf.encode(), array)
 
 
 def _write_array(group: h5g.GroupID, name: bytes, array: NDArray[Any]) -> None:
@@ -511,17 +512,17 @@ _TEXT, _CONTIGUOUS = h5py.string_dtype("utf-8"), _properties()
 _GROUP = _properties(h5p.GROUP_CREATE)
 
 
-def _same_json(found: Any, expected: Any) -> bool:
+def _same_json(there: Any, expected: Any) -> bool:
     """Whether two entries are equal; texts of JSON are compared as what they hold.
 
     A keyword that an older specification of an environment lacks has its default.
     """
-    if all(isinstance(one, str) and one[:1] == "{" for one in (found, expected)):
-        found, expected = json.loads(found), json.loads(expected)
+    if all(isinstance(one, str) and one[:1] == "{" for one in (there, expected)):
+        there, expected = json.loads(there), json.loads(expected)
         if "kwargs" in expected:
             usual = common.as_json(TaskConfig(task="tie"))
-            found["kwargs"] = {**usual, **(found.get("kwargs") or {})}
-    return bool(found == expected)
+            there["kwargs"] = {**usual, **(there.get("kwargs") or {})}
+    return bool(there == expected)
 
 
 @lru_cache(maxsize=16)

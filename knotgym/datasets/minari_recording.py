@@ -82,8 +82,8 @@ def _episode(items: Mapping[str, Any], name: str, task: TaskConfig, policy: str)
     schema = STEPS.sized(**sizes).without(*optional)
     shown = Shown(points, codes.visits[:-1], codes.signs[:-1], codes.crossings[:-1])
     steps = schema.empty(pulls + 1)
-    for column, found in shown.columns(schema).items():
-        steps[column][:] = found
+    for column, column_values in shown.columns(schema).items():
+        steps[column][:] = column_values
     at = np.arange(pulls)
     made = Taken({"observation": points, "read": actions}, at, at, "read", rope.reach)
     led: dict[str, Any] = {
@@ -97,10 +97,10 @@ def _episode(items: Mapping[str, Any], name: str, task: TaskConfig, policy: str)
     }
     for column, values in led.items():
         steps[column][:-1] = values  # no pull is made in the last state
-    own = EPISODES.sized(**sizes).empty(1) | {"policy": np.array([policy])}
+    rows = EPISODES.sized(**sizes).empty(1) | {"policy": np.array([policy])}
     known = {"seed": items[name].attrs.get("seed", -1), "length": pulls}
     known |= {"start": -1, "goal": -1, "start_qpos": np.nan, "return_": steps["reward"].sum()}
     known |= {"goal_visits": codes.visits[-1], "goal_points": goals[0]}
     for column, value in known.items():
-        own[column][:] = value
-    return Episodes(Table(EPISODES.sized(**sizes), own), Table(schema, steps))
+        rows[column][:] = value
+    return Episodes(Table(EPISODES.sized(**sizes), rows), Table(schema, steps))

@@ -130,9 +130,9 @@ def _folder_faults(folder: Path, replay: Replay, sample: int = 0) -> Iterator[st
     yield from listed_faults(folder, manifest)
     yield from _state_faults(states)
     for file in sorted(folder.glob(f"minari/**/{FILE}")):
-        own = [*episode_faults(file, replay, sample=sample)]
-        yield from own
-        if not own:
+        faults_here = [*episode_faults(file, replay, sample=sample)]
+        yield from faults_here
+        if not faults_here:
             name = file.relative_to(folder / "minari").parents[1].as_posix()
             yield from _demonstration_faults(states, name, open_episodes(file))
 
@@ -145,14 +145,14 @@ def _demonstration_faults(states: States, name: str, played: EpisodeDataset) -> 
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
         return
-    (own, steps), first = played.episodes, played.episodes.offsets
+    (rows, steps), first = played.episodes, played.episodes.offsets
     for row in np.flatnonzero(source["dataset"] == name).tolist():
         k, step = int(source["trajectory"][row]), int(source["step"][row])
-        if not 0 <= k < own.rows or not 0 <= step <= own["length"][k]:
+        if not 0 <= k < rows.rows or not 0 <= step <= rows["length"][k]:
             fault = f"has no state {step}"
         elif gauss_codes(steps["visits"][[first[k] + step]])[0] != states.gauss_code[row]:
             fault = f"doesn't lead to its code: its state {step} shows another"
-        elif not np.array_equal(own["goal_points"][k], states.points[row].astype(np.float32)):
+        elif not np.array_equal(rows["goal_points"][k], states.points[row].astype(np.float32)):
             fault = "has another goal"
         elif played.task.split != states.split[row]:
             fault = f"is of the {played.task.split} split, the row of the other"
@@ -185,20 +185,20 @@ def _derived_faults(
         yield f"pyknotid reads {second.chiral}, our labeller reads {shown.code.chiral}"
 
 
-def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
+def _unlike(name: str, stored: Any, right: Any) -> Iterator[str]:
     """Yield how a value differs from the right one; numbers may differ by rounding."""
     if isinstance(right, dict):
-        for inner, one in right.items():
-            yield from _unlike(f"{name}.{inner}", found.get(inner, one), one)
+        for inner, part in right.items():
+            yield from _unlike(f"{name}.{inner}", stored.get(inner, part), part)
     elif isinstance(right, (bytes, np.ndarray)):
         # the same picture may be compressed in other ways
         read: Any = image_table.decode if isinstance(right, bytes) else np.asarray
-        if not np.array_equal(read(found), read(right)):
+        if not np.array_equal(read(stored), read(right)):
             yield f"{name} is not the picture of points"
-    elif found != right:
+    elif stored != right:
         near = {"rel_tol": _ROUNDING, "abs_tol": _ROUNDING}  # nothing is near infinity
-        if not (isinstance(right, float) and math.isclose(found, right, **near)):
-            yield f"{name} is {found}, recomputed {right}"
+        if not (isinstance(right, float) and math.isclose(stored, right, **near)):
+            yield f"{name} is {stored}, recomputed {right}"
 
 
 def _row_faults(
@@ -346,10 +346,10 @@ def _shard_faults(path: Path) -> tuple[list[str], Any]:
         return [str(error)], None
     for n, row in enumerate(image_table.rows_of(table)):
         try:
-            own = list(_picture_faults(row))
+            of_row = list(_picture_faults(row))
         except _RAISED as error:
-            own = [f"it can't be rendered or measured: {one_line(error)}"]
-        faults += [f"{path.name} row {n}: {fault}" for fault in own]
+            of_row = [f"it can't be rendered or measured: {one_line(error)}"]
+        faults += [f"{path.name} row {n}: {fault}" for fault in of_row]
     if not image_table.is_unchanged(table):
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     try:
@@ -364,8 +364,11 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
     if (name := row["appearance"]["name"]) not in APPEARANCES:
         yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
         return
-    own, drawer = APPEARANCES[name].own_columns, Drawer.of(name)
-    structures = ["appearance", *(column for columns in own for column in columns if column in row)]
+    tables, drawer = APPEARANCES[name].own_columns, Drawer.of(name)
+    structures = [
+        "appearance",
+        *(column for columns in tables for column in columns if column in row),
+    ]
     chosen = {one.name for one in fields(drawer.look)}  # others are measured in the picture
     factors = [
         (f"{one}.{factor}", value)
@@ -419,34 +422,34 @@ def _split_faults(table: Any) -> Iterator[str]:
         yield "two rows have the same number"
 
 
-def faults(found: Located, replay: Replay, each: Map = map, sample: int = 0) -> Iterator[str]:
+def faults(located: Located, replay: Replay, each: Map = map, sample: int = 0) -> Iterator[str]:
     """Yield the faults of datasets, each as soon as it is found.
 
     If only replays differ, a last line says that machines round differently.
 
     Args:
-        found: what a path or an id names.
+        located: what a path or an id names.
         replay: plays episodes again.
         each: `map` or a pool's, for files of pictures; results keep the order.
         sample: how many drawn episodes of each dataset to play again; 0 for all.
     """
     if sample < 0:
         raise InvalidInput(f"sample must be at least 0, got {sample}")
-    if found.pictures:
-        own = _image_faults(found.pictures, each)
-    elif found.states and found.root.is_dir():
-        own = _folder_faults(found.root, replay, sample)
-    elif found.states:
-        own = _state_faults(read_states(found.states))
+    if located.pictures:
+        every = _image_faults(located.pictures, each)
+    elif located.states and located.root.is_dir():
+        every = _folder_faults(located.root, replay, sample)
+    elif located.states:
+        every = _state_faults(read_states(located.states))
     else:
         verified = partial(episode_faults, replay=replay, sample=sample)
-        own = chain.from_iterable(map(verified, found.episodes))
+        every = chain.from_iterable(map(verified, located.episodes))
     kinds = set[type]()
-    for fault in own:
+    for fault in every:
         kinds.add(type(fault))
         yield fault
     if kinds == {ReplayFault}:
         yield (
-            f"{found.root}: only replays differ, and other machines may round differently; the"
+            f"{located.root}: only replays differ, and other machines may round differently; the"
             " manifest says which made it"
         )

@@ -95,12 +95,12 @@ def delete(source: str | Path, rows: str, out: str | Path, *, overwrite: bool = 
     given = opened(source)
     left = np.ones(given.size, dtype=bool)
     for word in rows.split(","):
-        found = _RANGE.fullmatch(word)
-        if not found or not int(found[1]) <= (last := int(found[2] or found[1])) < given.size:
+        range_ = _RANGE.fullmatch(word)
+        if not range_ or not int(range_[1]) <= (last := int(range_[2] or range_[1])) < given.size:
             raise InvalidInput(
                 f"rows of {source} are numbers such as 3,7-9 below {given.size}, got {word!r}"
             )
-        left[int(found[1]) : last + 1] = False
+        left[int(range_[1]) : last + 1] = False
     how = {"deleted": rows}
     return _write_rows(given, str(source), np.flatnonzero(left), how, Path(out), overwrite)
 
@@ -189,11 +189,11 @@ def opened(source: str | Path) -> _Rows:
     Raises:
         MissingFile, InvalidInput, InvalidFile: as `locate`; or it is several datasets.
     """
-    found = locate(str(source)).only()
-    if found.pictures:
-        rows = _of_pictures(found.pictures)
+    located = locate(str(source)).only()
+    if located.pictures:
+        rows = _of_pictures(located.pictures)
     else:
-        rows = _of_states(found.states) if found.states else _of_episodes(found.episodes[0])
+        rows = _of_states(located.states) if located.states else _of_episodes(located.episodes[0])
     # which may be a stranger's
     if not isinstance(rows.earlier, list) or not all(isinstance(one, dict) for one in rows.earlier):
         given = f"{rows.earlier!r:.80}"
@@ -291,12 +291,12 @@ def _single_of(dataset: EpisodeDataset) -> Ids:
 
     A recording doesn't hold the start's crossings, so there the first with the goal's is returned.
     """
-    own, steps = dataset.episodes
-    if "setup" in own:
+    rows, steps = dataset.episodes
+    if "setup" in rows:
         sides = [(one.start_nx, one.goal_nx) for one in dataset.task.singles]
         single = [sides.index((one.start_nx, one.goal_nx)) for one in dataset.tasks]
-        return np.array(single)[own["setup"]]
-    goals = np.count_nonzero(own["goal_visits"], axis=1) // 2
+        return np.array(single)[rows["setup"]]
+    goals = np.count_nonzero(rows["goal_visits"], axis=1) // 2
     first = dataset.episodes.offsets[:-1]
     starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
     unlike = [2 * (goals != one.goal_nx) + (starts != one.start_nx) for one in dataset.task.singles]
@@ -379,14 +379,16 @@ def _matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np
         condition = polars.sql_expr(text)
         if _compares_truth(condition, frame):
             raise _refused(text, "it compares a truth value with a number; join conditions by and")
-        found = frame.select(condition).to_series()
+        fulfilled = frame.select(condition).to_series()
     except polars.exceptions.ColumnNotFoundError as error:
         raise _refused(text, f"columns are {', '.join(columns)}") from error
     except polars.exceptions.PolarsError as error:
         raise _refused(text, str(error).split("\n")[0]) from error
-    if found.dtype != polars.Boolean or len(found) != len(frame):
-        raise _refused(text, f"it gives {found.dtype}, and should be true or false for each row")
-    return np.asarray(found.fill_null(False).to_numpy(), dtype=bool)
+    if fulfilled.dtype != polars.Boolean or len(fulfilled) != len(frame):
+        raise _refused(
+            text, f"it gives {fulfilled.dtype}, and should be true or false for each row"
+        )
+    return np.asarray(fulfilled.fill_null(False).to_numpy(), dtype=bool)
 
 
 def _compares_truth(expression: Any, frame: Any) -> bool:

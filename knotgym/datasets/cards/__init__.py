@@ -86,10 +86,10 @@ def _filled(
     template: str, tables: Mapping[str, "CardTable"], config: Mapping[str, Any], **parts: object
 ) -> str:
     """Fill a template with tables and parts, and with what a run was asked for and made by."""
-    found = {name.replace(" ", "_"): one._markdown() for name, one in tables.items()}
+    markdown = {name.replace(" ", "_"): one._markdown() for name, one in tables.items()}
     versions = {"version": knotgym.__version__, "mujoco": mujoco.__version__}
     asked = {"seed": config["seed"], "config": json.dumps(config, indent=1, sort_keys=True)}
-    return filled_template(template, **found, **versions, **asked, **parts)
+    return filled_template(template, **markdown, **versions, **asked, **parts)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -117,9 +117,9 @@ class CardTable(NamedTuple):
     @classmethod
     def _of(cls, title: str, rows: Sequence[Sequence[object]], **parts: object) -> "CardTable":
         """Return a table that `tables.toml` describes; `parts` fill its text."""
-        own = _TABLES[title]
-        says = own.get("says", "").format(**parts)
-        return cls(title, own["head"], rows, says, own.get("left", ()))
+        described = _TABLES[title]
+        says = described.get("says", "").format(**parts)
+        return cls(title, described["head"], rows, says, described.get("left", ()))
 
     def _markdown(self) -> str:
         """Return the explanation of the columns, and the table; "" without rows."""
@@ -142,11 +142,12 @@ def _counted(
     rows: list[tuple[object, ...]] = []
     names = {"gauss_code", "gauss_code_chiral", *(column for column, _ in values.values())}
     for nx in np.unique(columns["nx"]).tolist():
-        own = {name: columns[name][columns["nx"] == nx] for name in names}
-        codes, chiral = Counter(own["gauss_code"].tolist()), {*own["gauss_code_chiral"].tolist()}
+        same_nx = {name: columns[name][columns["nx"] == nx] for name in names}
+        codes = Counter(same_nx["gauss_code"].tolist())
+        chiral = {*same_nx["gauss_code_chiral"].tolist()}
         each = f"{min(codes.values())} / {max(codes.values())}"
-        found = [int((own[column] == value).sum()) for column, value in values.values()]
-        rows.append((nx, codes.total(), len(codes), len(chiral), each, *found))
+        counts = [int((same_nx[column] == value).sum()) for column, value in values.values()]
+        rows.append((nx, codes.total(), len(codes), len(chiral), each, *counts))
     head = ("nx", "rows", "codes", "chiral", "each", *values)
     return CardTable(title, head, rows, _TABLES["counted"]["says"])
 
@@ -185,18 +186,18 @@ def in_words(value: Any) -> str:
     return "" if value is None else one_line(value)  # a stranger's text
 
 
-def summary(found: "Located") -> tuple[list[str], dict[str, CardTable]]:
+def summary(located: "Located") -> tuple[list[str], dict[str, CardTable]]:
     """Return what states or pictures are, in lines, and the tables of facts about them by name."""
-    if found.pictures:
-        size = sum(shard.stat().st_size for shard in shards(found.pictures))
-        count = len(read_table(found.pictures, columns=["nx"]))
+    if located.pictures:
+        size = sum(shard.stat().st_size for shard in shards(located.pictures))
+        count = len(read_table(located.pictures, columns=["nx"]))
         lines = [f"{count} pictures, {size / count:.0f} bytes each"]
-        return lines, _image_tables(found.pictures)
-    states = read_states(found.states, images=False)
+        return lines, _image_tables(located.pictures)
+    states = read_states(located.states, images=False)
     made = sorted(Counter(states.source.get("policy", np.empty(0, str)).tolist()).items())
     lines = [f"{len(states)} states"]
     lines += [f"sources: {', '.join(f'{policy} {count}' for policy, count in made)}"] * bool(made)
-    report = read_manifest(found.folder)[0].get("report", {})
+    report = read_manifest(located.folder)[0].get("report", {})
     return lines, _state_tables(states, report)
 
 
@@ -212,15 +213,15 @@ def _state_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTa
         for nx, reasons in report.get("rejected", {}).items()
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
-    found, more = _counted("states", states.table, _SPLITS), _TABLES["states"]
+    counted, more = _counted("states", states.table, _SPLITS), _TABLES["states"]
     listed = (
-        found._replace(
-            head=(*found.head, *more["head"]),
+        counted._replace(
+            head=(*counted.head, *more["head"]),
             rows=[
                 (*row, *_more(states, nx, existing))
-                for nx, row in zip(numbers, found.rows, strict=True)
+                for nx, row in zip(numbers, counted.rows, strict=True)
             ],
-            says=f"{found.says}; {more['says']}",
+            says=f"{counted.says}; {more['says']}",
         ),
         CardTable._of("train and test", [_overlap(states, nx) for nx in numbers]),
         _measured(states.measures),
@@ -348,12 +349,13 @@ def suite_card(report: Mapping[str, Any], references: Sequence[Sequence[object]]
     columns = "id states split engine policy seed episodes steps starts goals pairs".split()
     head = (*columns, "reached, %", "MB", "as recorded", "digest of values", "as known")
     rows = []
-    for name, one in sorted(sets.items()):
-        size, values = f"{one['bytes'] / 1e6:.1f}", (f"`{one['values'][:16]}`", one["as known"])
-        own = (plain(one[key]) for key in columns[1:])
-        share = f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f}"
-        reached = "" if one["endless"] else share
-        rows.append((_code_span(name), *own, reached, size, plain(one["recorded"]), *values))
+    for name, facts in sorted(sets.items()):
+        size, digest = f"{facts['bytes'] / 1e6:.1f}", f"`{facts['values'][:16]}`"
+        cells = (plain(facts[key]) for key in columns[1:])
+        share = f"{100 * facts['succeeded'] / max(facts['episodes'], 1):.1f}"
+        reached = "" if facts["endless"] else share
+        made = plain(facts["recorded"]), digest, facts["as known"]
+        rows.append((_code_span(name), *cells, reached, size, *made))
     return filled_template(
         "suite_card.md",
         count=len(sets),

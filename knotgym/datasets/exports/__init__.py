@@ -59,14 +59,16 @@ def _write_files(
     ends = [path.with_suffix("") if path.is_file() else path for path in source.episodes]
     # by the ends of their ids, such as tie-nx3-demonstrations-v0
     pairs = zip(_names_apart(ends), datasets, strict=True)
-    for name, one in Counts.over(pairs, "writing datasets", len(datasets)):
-        kept = {name: one.attributes[name] for name in {"expansion"} & one.attributes.keys()}
+    for name, dataset in Counts.over(pairs, "writing datasets", len(datasets)):
+        kept = {
+            name: dataset.attributes[name] for name in {"expansion"} & dataset.attributes.keys()
+        }
         if not whole:
-            one = replace(one, episodes=one.episodes.recording())
-        elif one.episodes.is_recording:
-            one = expanded(one, replay)
+            dataset = replace(dataset, episodes=dataset.episodes.recording())
+        elif dataset.episodes.is_recording:
+            dataset = expanded(dataset, replay)
         file = target / f"{name}.h5" if target.is_dir() else target
-        write_episodes(file, [one.episodes], one.task, {**one.facts, **kept}, pack=pack)
+        write_episodes(file, [dataset.episodes], dataset.task, {**dataset.facts, **kept}, pack=pack)
         size += file.stat().st_size
     episodes = sum(one.episodes.episodes.rows for one in datasets)
     files = f" in {len(datasets)} files" if target.is_dir() else ""

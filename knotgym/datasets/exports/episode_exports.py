@@ -72,11 +72,11 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
         if metadata is None or file.name != FILE:  # a file by itself has no folder to copy
             how = "convert it with knotgym dataset merge --id"
             raise InvalidInput(f"{dataset} is not a Minari dataset; {how}")
-        name, own = metadata.dataset_id, opened.episodes.episodes
+        name, rows = metadata.dataset_id, opened.episodes.episodes
         if name in sources:
             raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
-        steps, counts = int(own["length"].sum()), opened.episodes.distinct().values()
-        entries[name] = (own.rows, steps, *counts, metadata.algorithm_name)
+        steps, counts = int(rows["length"].sum()), opened.episodes.distinct().values()
+        entries[name] = (rows.rows, steps, *counts, metadata.algorithm_name)
         sources[name] = data
     words = {name.partition("/")[0] for name in sources}
     if len(words) != 1 or any("/" not in name for name in sources):
@@ -161,15 +161,15 @@ def to_worldmodel(source: Located, target: Path, _: Replay) -> str:
     with h5py.File(target, "w", libver="latest") as file:  # the reader asks for SWMR
         file["ep_len"], file["ep_offset"] = lengths.astype(np.int32), episodes.offsets[:-1]
         for k in Counts.over(range(rows), "drawing episodes", rows):
-            one = dataset.select([k])
-            own: dict[str, Any] = {
-                "pixels": one.seen("pixels", alone=True),
-                "observation": one.seen("state", alone=True).astype(np.float32),
+            episode = dataset.select([k])
+            columns: dict[str, Any] = {
+                "pixels": episode.seen("pixels", alone=True),
+                "observation": episode.seen("state", alone=True).astype(np.float32),
             }
             for name in ("action", "reward"):
-                own[name] = one.episodes.steps[name].astype(np.float32)
-                own[name][-1] = np.nan
-            for name, values in own.items():
+                columns[name] = episode.episodes.steps[name].astype(np.float32)
+                columns[name][-1] = np.nan
+            for name, values in columns.items():
                 if not k:  # a row a chunk: windows begin anywhere
                     shape = int(lengths.sum()), *values.shape[1:]
                     chunk = (1, *shape[1:]) if values.ndim > 2 else True

@@ -57,11 +57,11 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     arrow()
     states = None if source.states is None else read_states(source.states)
     datasets = [columns_of(path) for path in source.episodes]
-    for one, other in repeated(
+    for first, other in repeated(
         one.name for one in datasets
     ):  # the column `dataset` tells them apart
         raise InvalidInput(
-            f"two datasets have the id {datasets[one].name}: {source.episodes[one]} and"
+            f"two datasets have the id {datasets[first].name}: {source.episodes[first]} and"
             f" {source.episodes[other]}"
         )
     rows, pages = dict[str, dict[str, int]](), dict[str, str]()  # by config, and split
@@ -120,8 +120,8 @@ def _tables(
     rows = ROWS_OF_STEPS.with_own(stored)
     schema = rows.without(*lacking, *([] if pictures else ["image"]))
     for split in dict.fromkeys(one.task.split for one in datasets):
-        own = [one for one in datasets if one.task.split == split]
-        tables = (part for one in own for part in _step_tables(one, schema, pictures))
+        of_split = [one for one in datasets if one.task.split == split]
+        tables = (part for one in of_split for part in _step_tables(one, schema, pictures))
         yield "steps", split.replace("-", "_"), tables  # Hugging Face's splits have no dashes
 
 
@@ -171,22 +171,22 @@ def _step_tables(dataset: EpisodeDataset, schema: Schema, pictures: bool) -> Ite
 
 
 def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
-    (own, steps), episode = part.episodes, part.episodes.episode_of()
+    (rows, steps), episode = part.episodes, part.episodes.episode_of()
     is_last = np.zeros(steps.rows, dtype=bool)
     is_last[part.episodes.last()] = True
     columns: dict[str, NDArray[Any]] = {
         **steps,
         "points": steps["observation"],
         "dataset": np.full(steps.rows, part.name),
-        "policy": own["policy"][episode],
+        "policy": rows["policy"][episode],
         "gauss_code": gauss_codes(steps["visits"]),
         "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
-        "goal_gauss_code": gauss_codes(own["goal_visits"])[episode],
+        "goal_gauss_code": gauss_codes(rows["goal_visits"])[episode],
         "episode": number + episode,
-        "step": Episodes.ranges(np.zeros_like(own["length"]), own["length"] + 1),
+        "step": Episodes.ranges(np.zeros_like(rows["length"]), rows["length"] + 1),
         "is_last": is_last,
         "is_success": part.episodes.goal_reached(part.task),
-        "goal_points": own["goal_points"][episode],
+        "goal_points": rows["goal_points"][episode],
     }
     if pictures:
         columns["image"] = part.seen("pixels")[..., :3]

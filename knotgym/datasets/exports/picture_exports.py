@@ -98,12 +98,12 @@ def to_webdataset(source: Located, folder: Path, _: Replay) -> str:
 def _json(value: Any) -> str:
     """Write JSON; a measure that is infinite, such as the margin of a plain loop, is null."""
 
-    def known(one: Any) -> Any:
-        if isinstance(one, dict):
-            return {name: known(inner) for name, inner in one.items()}
-        if isinstance(one, list):
-            return [*map(known, one)]
-        return None if one in (np.inf, -np.inf) else one
+    def known(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: known(inner) for name, inner in value.items()}
+        if isinstance(value, list):
+            return [*map(known, value)]
+        return None if value in (np.inf, -np.inf) else value
 
     return json.dumps(known(value), allow_nan=False)
 
@@ -118,8 +118,8 @@ def _sample(row: Mapping[str, Any]) -> dict[str, bytes]:
 def _splits(source: Located) -> Iterator[tuple[str, int, Iterator[dict[str, Any]]]]:
     """Yield the name of each split, as in file names, how many rows it has, and these."""
     assert source.pictures is not None
-    found = read_table(source.pictures, columns=["split"])["split"].to_pylist()
-    counts = Counter(map(file_stem, found))
+    splits = read_table(source.pictures, columns=["split"])["split"].to_pylist()
+    counts = Counter(map(file_stem, splits))
     for split in IMAGE_SPLITS:
         if count := counts[name := file_stem(split)]:
             rows = read_rows(source.pictures, split)
@@ -135,8 +135,8 @@ def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         if not len(y):
             continue  # an occluder hides all of it
         box = [int(x[0]), int(y[0]), int(x[-1] - x[0] + 1), int(y[-1] - y[0] + 1)]
-        found = {"category_id": 2, "edge": strand} if strand else {"category_id": 1}
-        yield found | _region(mask) | _NO_KEYPOINTS | {"bbox": box}
+        annotation = {"category_id": 2, "edge": strand} if strand else {"category_id": 1}
+        yield annotation | _region(mask) | _NO_KEYPOINTS | {"bbox": box}
     line = np.reshape(row["line"], (-1, 3))[:, :2]
     reach = float(row["photo"]["rope_width"])
     for crossing in row["crossings"]:
@@ -152,9 +152,9 @@ def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         square = np.zeros(strands.shape, dtype=bool)
         left, right, top, bottom = (max(0, round(n + s * reach)) for n in (x, y) for s in (-1, 1))
         square[top : bottom + 1, left : right + 1] = True
-        found = {"category_id": 3, "sign": crossing["sign"], **_region(square)}
-        found |= {"keypoints": keypoints, "num_keypoints": len(points)}
-        yield found | {"bbox": around, "area": 4 * reach**2}
+        annotation = {"category_id": 3, "sign": crossing["sign"], **_region(square)}
+        annotation |= {"keypoints": keypoints, "num_keypoints": len(points)}
+        yield annotation | {"bbox": around, "area": 4 * reach**2}
 
 
 def _region(mask: NDArray[np.bool_]) -> dict[str, Any]:

@@ -43,9 +43,9 @@ _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 _SCRIPTS = ("rope.js", "plots.js", "page.js")
 
 
-def write_page(path: Path, found: Located, replay: Replay) -> str:
+def write_page(path: Path, located: Located, replay: Replay) -> str:
     """Write the page of datasets; return a one-line summary. `replay` plays those of recordings."""
-    data = _page_data(found.title, found, replay)
+    data = _page_data(located.title, located, replay)
     path.write_text(_page_html(data), encoding="utf-8")
     return " ".join([f"{data['says']}, {path.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
@@ -68,10 +68,10 @@ def _page_data(title: str, given: Located, replay: Replay | None = None) -> dict
     if given.episodes:
         data |= _episodes(given.episodes, notices, about, replay)
     if given.states is not None:
-        found = _states(given.states, notices, about)
-        if given.episodes and found["beads"] != data["beads"]:
+        shapes = _states(given.states, notices, about)
+        if given.episodes and shapes["beads"] != data["beads"]:
             raise InvalidInput(f"{title} has states and episodes of unlike ropes; show one of them")
-        data |= found
+        data |= shapes
     if given.pictures is not None:
         data |= _pictures(given.pictures, notices, about)
     data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
@@ -125,13 +125,13 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
     states = read_states(file, images=False)
     report = read_manifest(file.parent)[0].get("report", {})
     rows = _sampled(len(states), MOST_STATES, "states", notices)
-    own = states.take(rows)
+    chosen = states.take(rows)
     known = {name for name, (_, one) in states.measures.items() if np.isfinite(one).any()}
-    measures = {name: one for name, one in own.measures.items() if name in known}
-    found = _shapes(rows, own.table, measures)
+    measures = {name: one for name, one in chosen.measures.items() if name in known}
+    shapes = _shapes(rows, chosen.table, measures)
     made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
-    for name, column in made.items() if "dataset" in own.source else ():
-        for shown, value in zip(found["states"], own.source[column].tolist(), strict=True):
+    for name, column in made.items() if "dataset" in chosen.source else ():
+        for shown, value in zip(shapes["states"], chosen.source[column].tolist(), strict=True):
             shown[name] = value
     about |= {
         "states": len(states),
@@ -140,7 +140,7 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
         "configuration": states.attributes.get("config"),
     }
     rejected = {nx: counts for nx, counts in report.get("rejected", {}).items() if counts}
-    return {**found, "beads": states.points.shape[1], "rejected": rejected}
+    return {**shapes, "beads": states.points.shape[1], "rejected": rejected}
 
 
 def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
@@ -151,15 +151,15 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     rows = _sampled(len(table), most, "pictures", notices)
     taken = table.take(rows)
     columns = {name: taken[name].to_pylist() for name in _SHOWN}
-    found = _shapes(rows, {**columns, "points": points_of(taken)}, measures_of(taken))
-    for shown, row in zip(found["states"], taken.to_pylist(), strict=True):
+    shapes = _shapes(rows, {**columns, "points": points_of(taken)}, measures_of(taken))
+    for shown, row in zip(shapes["states"], taken.to_pylist(), strict=True):
         shown |= {"grade": row["grade"], "image": _picture(row["image"])}
         shown["at"] = [[_number(one["x"]), _number(one["y"])] for one in row["crossings"]]
         if "line" in row:  # x, y and depth of each bead
             line = np.reshape(row["line"], (-1, 3))[:, :2].ravel()
             shown |= {"line": [_number(n) for n in line], "masks": _picture(row["strands"])}
     about |= {"pictures": len(table), "configuration": read_manifest(source)[0].get("config")}
-    return {**found, "words": ["grade"]}
+    return {**shapes, "words": ["grade"]}
 
 
 def _shapes(
@@ -222,31 +222,31 @@ def _by_goal(tables: Sequence[Mapping[str, NDArray[Any]]]) -> str:
     """Say how many of the episodes that are shown reached each goal, most failures first."""
     codes = np.concatenate([gauss_codes(own["goal_visits"]) for own in tables])
     success = np.concatenate([own["success"] for own in tables])
-    found = [(int((codes == code).sum()), success[codes == code].sum(), code) for code in {*codes}]
-    found.sort(key=lambda one: (one[1] - one[0], one[2]))
-    return "; ".join(f"{code}: {done} reached, {of - done} failed" for of, done, code in found)
+    counts = [(int((codes == code).sum()), success[codes == code].sum(), code) for code in {*codes}]
+    counts.sort(key=lambda one: (one[1] - one[0], one[2]))
+    return "; ".join(f"{code}: {done} reached, {of - done} failed" for of, done, code in counts)
 
 
 def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
-    (own, steps), first = dataset.episodes, int(dataset.episodes.offsets[row])
-    count = min(int(own["length"][row]), MOST_STEPS) + 1
+    (rows, steps), first = dataset.episodes, int(dataset.episodes.offsets[row])
+    count = min(int(rows["length"][row]), MOST_STEPS) + 1
     pulls, states = slice(first, first + count - 1), slice(first, first + count)
     codes, code = _indexed(gauss_codes(steps["visits"][states]))
     chiral, code_chiral = _indexed(gauss_codes(steps["visits"][states], steps["signs"][states]))
     share = steps["applied_fraction"][pulls].astype(float)
     force = share[:, None] * steps["force"][pulls] * dataset.task.rope_config.max_force
     points = steps["observation"][states].astype(np.float64)
-    goal = own["goal_points"][row].astype(np.float64)
+    goal = rows["goal_points"][row].astype(np.float64)
     return {
         "set": dataset.name,
         "name": dataset.name.removeprefix("knotgym/"),
         "number": int(dataset.numbers[row]),
-        "policy": str(own["policy"][row]),
-        "goal": str(gauss_codes(own["goal_visits"][row : row + 1])[0]),
+        "policy": str(rows["policy"][row]),
+        "goal": str(gauss_codes(rows["goal_visits"][row : row + 1])[0]),
         "split": dataset.task.split,
-        "success": bool(own["success"][row]),
+        "success": bool(rows["success"][row]),
         # as text: a seed can exceed the 53 bits of a JavaScript number
-        "seed": "" if own["seed"][row] < 0 else str(own["seed"][row]),
+        "seed": "" if rows["seed"][row] < 0 else str(rows["seed"][row]),
         "points": _encoded(points),
         "goal_points": _encoded(goal[None]),
         "goal_x": _crossings(goal),
@@ -271,10 +271,12 @@ def _indexed(codes: NDArray[np.str_]) -> tuple[list[str], list[int]]:
 
 def _crossings(points: Array) -> list[list[float]]:
     """Return over position and under position (in beads) and sign of each crossing."""
-    found = find_crossings(points)
+    crossings = find_crossings(points)
     return [
         [round(float(over), 2), round(float(under), 2), int(sign)]
-        for over, under, sign in zip(found.over_place, found.under_place, found.sign, strict=True)
+        for over, under, sign in zip(
+            crossings.over_place, crossings.under_place, crossings.sign, strict=True
+        )
     ]
 
 
