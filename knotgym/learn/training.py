@@ -173,7 +173,9 @@ def fit(
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
         if played := [row[3] for row in training.losses if not math.isnan(row[3])]:
             facts["success"] = f"{100 * played[-1]:.0f} %"
-        progress.stage(f"training the {training.NAME}", training.step, training.steps, facts)
+        progress.stage(
+            f"training the {training.NAME}", lambda: training.step, training.steps, facts
+        )
         training._advance()
         for step, *values in training.losses[logged:]:
             if log is not None:
