@@ -85,8 +85,8 @@ class CanonicalFrames(NamedTuple):
 
     def renumber(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
         """Map beads (n,), of `count` per rope, from the world into the frame, or back."""
-        own = np.asarray(beads, dtype=np.int64)
-        return np.where(self.reverse, count - 1 - own, own)
+        numbers = np.asarray(beads, dtype=np.int64)
+        return np.where(self.reverse, count - 1 - numbers, numbers)
 
     def macros(self, actions: NDArray[Any], count: int) -> NDArray[np.int64]:
         """Map actions (n, 3) of the view "macro" from the world into the frame, or back."""
@@ -95,8 +95,8 @@ class CanonicalFrames(NamedTuple):
 
     def places(self, beads: ArrayLike, points: Array) -> Array:
         """Return where beads (n,) of the world's ropes (n, beads, 3) lie in the frame, metres."""
-        own = self.renumber(beads, points.shape[1])
-        places: Array = self.points(points)[np.arange(len(own)), own]
+        numbers = self.renumber(beads, points.shape[1])
+        places: Array = self.points(points)[np.arange(len(numbers)), numbers]
         return places
 
     def decisions(
@@ -153,8 +153,9 @@ class Marked(NamedTuple):
         beads, rest = divmod(rows.shape[1] - cls.size(0), 5)
         if rest or beads < 1 or not len(rows):
             return False
-        one = cls.split(rows)
-        return all(bool((part == np.rint(part)).all()) for part in (one.marks, one.code, one.goal))
+        marked = cls.split(rows)
+        whole = marked.marks, marked.code, marked.goal
+        return all(bool((part == np.rint(part)).all()) for part in whole)
 
     @classmethod
     def of(cls, points: ArrayLike, goals: Sequence[GaussCode], *, canonical: bool = True) -> Marked:

@@ -79,9 +79,9 @@ class Frames:
             return ropes[ids]
         if of_goals.all():
             return goals[ids - len(self.ropes)]
-        found = ropes[np.where(of_goals, 0, ids)]
-        found[of_goals] = goals[ids[of_goals] - len(self.ropes)]
-        return found
+        values = ropes[np.where(of_goals, 0, ids)]
+        values[of_goals] = goals[ids[of_goals] - len(self.ropes)]
+        return values
 
 
 class ObservationKind(NamedTuple):
@@ -119,13 +119,13 @@ class ObservationKind(NamedTuple):
         """Return the space of one observation."""
         if self.space is None:
             return spaces.Dict({name: OBSERVATIONS[name].space_of(task) for name in self.parts})
-        one = self.space(task)
+        half = self.space(task)
         if self.half is None:
-            return one
+            return half
         low, high = (
-            np.concatenate([end, end], axis=self._axis(task)) for end in (one.low, one.high)
+            np.concatenate([end, end], axis=self._axis(task)) for end in (half.low, half.high)
         )
-        return spaces.Box(low, high, dtype=one.dtype.type)
+        return spaces.Box(low, high, dtype=half.dtype.type)
 
     def observe(self, task: TaskConfig, frames: Frames, ropes: Ids, goals: Ids) -> Any:
         """Return observations of n ropes with their goals: an array (n, ...), or a dict of them.

@@ -55,8 +55,9 @@ def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
 def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     """Return the states of a task with one nx."""
     path = resolve_states(task.states)
-    own = _of_our_rope(path, task)
-    starts, goals = (_side(task, path, own, nx) for nx in (_start_nx(task, own), task.goal_nx))
+    states = _of_our_rope(path, task)
+    both = _start_nx(task, states), task.goal_nx
+    starts, goals = (_side(task, path, states, nx) for nx in both)
     goals = goals._replace(rows=goals.rows[: task.max_goals])
     begin, end = (
         ", ".join(sorted({*one.states.knot[one.rows].tolist()})) for one in (starts, goals)
@@ -64,12 +65,12 @@ def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     if begin != end or ", " in begin:
         raise InvalidInput(
             f"task {task.task!r} with nx = {task.nx} would start as {begin} and end as {end}, and"
-            f" no action changes the knot type; {path} has {_contents(own)}"
+            f" no action changes the knot type; {path} has {_contents(states)}"
         )
     if starts.nx == goals.nx and len(set(goals.states.gauss_code[goals.rows].tolist())) < 2:
         raise InvalidInput(
             f"a tie to nx = {goals.nx} starts at the simplest diagram of {begin} in"
-            f" {path}, which shows its only goal's code already; it has {_contents(own)}"
+            f" {path}, which shows its only goal's code already; it has {_contents(states)}"
         )
     return starts, goals
 
@@ -112,8 +113,10 @@ def _side(task: TaskConfig, path: Path, states: States, nx: int) -> TaskSide:
 def _of_our_rope(path: Path, task: TaskConfig) -> States:
     """Read the states of a file; raise InvalidInput if they were made for another rope."""
     states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
-    if (own := states.points.shape[1]) != task.beads:
-        raise InvalidInput(f"{path} has ropes of {own} beads, got beads = {task.beads}; use {own}")
+    if (beads := states.points.shape[1]) != task.beads:
+        raise InvalidInput(
+            f"{path} has ropes of {beads} beads, got beads = {task.beads}; use {beads}"
+        )
     # states at rest depend on the rope's shape, not on its damping or the integrator's step
     if unlike := task.rope_at_rest.unlike(states.attributes.get("rope")):
         shape = f" for rope = {task.rope}" if task.rope else ""

@@ -239,11 +239,11 @@ class TaskConfig:
     @property
     def singles(self) -> tuple[TaskConfig, ...]:
         """The combinations of one task and one nx, without those that are the same."""
-        found = {
+        tasks_by_sides = {
             TASKS[task](nx): replace(self, task=task, nx=nx)
             for task, nx in product(reversed(self.tasks), reversed(self.crossings))
         }
-        return tuple(reversed(found.values()))
+        return tuple(reversed(tasks_by_sides.values()))
 
     @property
     def start_nx(self) -> int:
@@ -271,6 +271,6 @@ class TaskConfig:
         """The rope as far as a state depends on it: the published one with this shape."""
         from knotgym.rope import RopeConfig
 
-        usual, own = RopeConfig.of(self.beads), self.rope or {}
-        shape = [name for name, *_ in Mark.fields(RopeConfig, own, "shape") if name in own]
-        return replace(usual, **{name: own[name] for name in shape})  # type: ignore[arg-type]
+        usual, given = RopeConfig.of(self.beads), self.rope or {}
+        shape = [name for name, *_ in Mark.fields(RopeConfig, given, "shape") if name in given]
+        return replace(usual, **{name: given[name] for name in shape})  # type: ignore[arg-type]

@@ -92,13 +92,13 @@ def statistics(dataset: Any, **opening: Unpack[Opening]) -> dict[str, dict[str, 
     transitions = Transitions(dataset, **opening)
     if not len(transitions):
         raise InvalidInput(f"{transitions.dataset.path} has no transitions to take statistics of")
-    found = {"observations": Statistics(), "actions": Statistics()}
+    statistics_of = {"observations": Statistics(), "actions": Statistics()}
     for _, block in transitions.blocks(_AT_ONCE, _drawn_generator(transitions)):
-        for name, own in found.items():
+        for name, totals in statistics_of.items():
             if isinstance(block[name], dict) or block[name].dtype == np.uint8:
                 raise InvalidInput("pictures need no statistics: divide them by 255")
-            own.add(block[name])
-    return {name: own.found() for name, own in found.items()}
+            totals.add(block[name])
+    return {name: own.found() for name, own in statistics_of.items()}
 
 
 def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:

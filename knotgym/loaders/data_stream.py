@@ -225,13 +225,13 @@ class DataStream:
         Raises:
             InvalidInput: only workers know.
         """
-        number, one = self.number, self._pass
+        number, pass_ = self.number, self._pass
         if _worker() is None and self._begun.any():
             if self._length is None:
                 raise InvalidInput(_UNKNOWN)
-            one = self._next_pass(None)
-            number = one * self._length
-        return {"number": number, "pass": one, "made": self._made}
+            pass_ = self._next_pass(None)
+            number = pass_ * self._length
+        return {"number": number, "pass": pass_, "made": self._made}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on where another stream was, with the rest of its pass; before a loader reads it.

@@ -152,10 +152,10 @@ class DrawnFrames:
                         for row, picture in zip(block, drawn(block), strict=True):
                             file[row] = picture, zlib.crc32(picture)
                     file.flush()
-            found = open_memmap(path, "r")
-        if found.shape != (self._count,) or found.dtype != kind:
+            pictures = open_memmap(path, "r")
+        if pictures.shape != (self._count,) or pictures.dtype != kind:
             raise InvalidFile(f"{path} holds other pictures than its name says: delete it")
-        return np.asarray(found)  # a plain array slices faster than np.memmap
+        return np.asarray(pictures)  # a plain array slices faster than np.memmap
 
     def _key(self) -> str:
         """Digest everything that decides the pictures."""

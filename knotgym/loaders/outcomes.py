@@ -36,14 +36,14 @@ class Outcomes:
     @cached_property
     def rewards(self) -> Array:
         """float64 (N,)."""
-        own, rewards = self._segments, self._pull_rewards()
-        before, after = own.before, own.after
-        if own.relabelled:
+        segments, rewards = self._segments, self._pull_rewards()
+        before, after = segments.before, segments.after
+        if segments.relabelled:
             # segments of one episode share its rows, so each gets rows of its own
-            shift = np.cumsum(own.goal_step + 1) - (own.goal_step + 1) - own.first
-            shift = np.repeat(shift, np.diff(own.starts))
+            shift = np.cumsum(segments.goal_step + 1) - (segments.goal_step + 1) - segments.first
+            shift = np.repeat(shift, np.diff(segments.starts))
             before, after = before + shift, after + shift
-        if not own.leads:
+        if not segments.leads:
             return rewards[before]
         between = np.stack([before, after], axis=1).ravel()
         return np.add.reduceat(rewards, between)[::2] if len(between) else np.zeros(0)
@@ -51,18 +51,18 @@ class Outcomes:
     @cached_property
     def terminals(self) -> NDArray[np.bool_]:
         """bool (N,), true where an episode terminated."""
-        own = self._segments
-        if own.relabelled:
-            return np.isin(np.arange(len(own.after)), own.starts[1:] - 1)
-        return own.episodes.steps["terminated"][own.after - 1]
+        segments = self._segments
+        if segments.relabelled:
+            return np.isin(np.arange(len(segments.after)), segments.starts[1:] - 1)
+        return segments.episodes.steps["terminated"][segments.after - 1]
 
     @cached_property
     def timeouts(self) -> NDArray[np.bool_]:
         """bool (N,), true where an episode was truncated."""
-        own = self._segments
-        if own.relabelled:
-            return np.zeros(len(own.after), dtype=bool)
-        return own.episodes.steps["truncated"][own.after - 1]
+        segments = self._segments
+        if segments.relabelled:
+            return np.zeros(len(segments.after), dtype=bool)
+        return segments.episodes.steps["truncated"][segments.after - 1]
 
     @cached_property
     def pulls(self) -> Ids:
@@ -109,12 +109,12 @@ class Outcomes:
 
     def _hindsight_rewards(self) -> Array:
         """Return the reward of the pull in each state of each segment, 0 in its last."""
-        own, task, lengths = self._segments, self._segments.task, self._segments.goal_step
-        before = Episodes.ranges(own.first, lengths)
-        after, goal = before + 1, np.repeat(own.first + lengths, lengths)
-        codes, held = own.episodes.codes_held(task)
+        segments, task, lengths = self._segments, self._segments.task, self._segments.goal_step
+        before = Episodes.ranges(segments.first, lengths)
+        after, goal = before + 1, np.repeat(segments.first + lengths, lengths)
+        codes, held = segments.episodes.codes_held(task)
         shown = np.where(codes[after] == codes[goal], held[after], 0)
-        visits = own.episodes.steps["visits"]
+        visits = segments.episodes.steps["visits"]
         # A segment ends at its goal: no state before is beyond the bound on towing or has failed.
         # Nor is any late, though of several datasets loaded as one the first says the horizon.
         count = np.minimum(Episodes.ranges(np.ones_like(lengths), lengths), task.horizon - 1)
@@ -122,10 +122,10 @@ class Outcomes:
         seen = Situation(
             **codes_of, held=shown, hold=task.hold, steps=count, visits_before=visits[before]
         )
-        found = np.zeros(len(after) + len(lengths))
+        rewards = np.zeros(len(after) + len(lengths))
         rows = np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)
-        found[rows] = seen.outcome(task).rewards
-        return found
+        rewards[rows] = seen.outcome(task).rewards
+        return rewards
 
     def _rewards_by(self, reward: Reward) -> Array:
         """Return the rewards that a user's function gives to the pulls of each episode."""
@@ -133,9 +133,9 @@ class Outcomes:
         found = np.zeros(steps.rows)
         for number, first in enumerate(self._segments.episodes.offsets[:-1].tolist()):
             # copies: a function may change what it is given
-            own = {name: column[[number]][0] for name, column in episodes.items()}
-            last = first + int(own["length"])
-            rewards = np.asarray(reward(own, steps.take(np.arange(first, last + 1))))
+            episode = {name: column[[number]][0] for name, column in episodes.items()}
+            last = first + int(episode["length"])
+            rewards = np.asarray(reward(episode, steps.take(np.arange(first, last + 1))))
             if rewards.shape != (last - first,) or rewards.dtype.kind not in "biuf":
                 raise InvalidInput(
                     f"reward must return {last - first} numbers for an episode of as many pulls,"

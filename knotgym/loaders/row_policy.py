@@ -44,21 +44,21 @@ class RowPolicy:
 
     def _of_block(self, observations: NDArray[Any]) -> NDArray[Any]:
         # copied, because the model may change what it gets and return the same array again
-        found = np.array(self.predict(observations.copy()))
-        if found.shape[:1] != (_BLOCK,):
-            gave = f"{_BLOCK} gave {found.shape}"
+        actions = np.array(self.predict(observations.copy()))
+        if actions.shape[:1] != (_BLOCK,):
+            gave = f"{_BLOCK} gave {actions.shape}"
             raise InvalidPolicy(f"a model must return a row for each observation: {gave}")
-        if not VIEWS[self.action].relative or found.ndim != 3:
-            return found
+        if not VIEWS[self.action].relative or actions.ndim != 3:
+            return actions
         centred = OBSERVATIONS[self.observation].centred
         if centred is None:
             raise InvalidPolicy(f"decisions of each bead need vertices, not {self.observation!r}")
         points = centred(observations)
         wanted = (points.shape[1], 1 + 4 * ActionView.LONGEST)
-        if found.shape[1:] != wanted:
-            raise InvalidPolicy(f"decisions of each bead are {wanted}, got {found.shape[1:]}")
-        rows, beads = np.arange(len(found)), found[..., 0].argmax(axis=1)
-        decided = np.hstack([points[rows, beads] / ActionView.NEAR, found[rows, beads, 1:]])
+        if actions.shape[1:] != wanted:
+            raise InvalidPolicy(f"decisions of each bead are {wanted}, got {actions.shape[1:]}")
+        rows, beads = np.arange(len(actions)), actions[..., 0].argmax(axis=1)
+        decided = np.hstack([points[rows, beads] / ActionView.NEAR, actions[rows, beads, 1:]])
         return decided.clip(-1, 1).astype(np.float32)
 
 

@@ -59,5 +59,5 @@ class Sequences:
         first, steps = self.starts[rows_at(index, len(self))], self.dataset.episodes.steps
         at = first[..., None] + np.arange(self.length)
         # indices copy: torch would write into mapped columns, which ends the process
-        found = {name: steps[name][at] for name in self.columns}
-        return {**found, "episode": np.searchsorted(self._offsets, first[..., None], "right") - 1}
+        columns = {name: steps[name][at] for name in self.columns}
+        return {**columns, "episode": np.searchsorted(self._offsets, first[..., None], "right") - 1}

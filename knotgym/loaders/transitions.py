@@ -111,9 +111,10 @@ class Transitions(Outcomes):
         self._check(seen)
         picture, cache = opening.get("picture"), opening.get("cache")
         self._frames = DrawnFrames(self.dataset, seen, picture, cache)
-        own = Segments(self.dataset.episodes, self.task, relabel, leads=self.leads)
-        super().__init__(own, self._reward)
-        self.episode, self.goal_step, self.starts = own.episode, own.goal_step, own.starts
+        segments = Segments(self.dataset.episodes, self.task, relabel, leads=self.leads)
+        super().__init__(segments, self._reward)
+        self.episode, self.goal_step = segments.episode, segments.goal_step
+        self.starts = segments.starts
 
     def _check(self, seen: TaskConfig) -> None:
         """Refuse settings that don't go together or that the dataset has no columns for."""
@@ -199,8 +200,9 @@ class Transitions(Outcomes):
         return seen(self._frames.frames_of(taken.before, goals), taken, actions)
 
     def _taken_as(self, name: str, rows: Any = slice(None)) -> Taken:
-        own, reach = self._segments, self.task.rope_config.reach
-        return Taken(own.episodes.steps, own.before[rows], own.after[rows], name, reach)
+        segments, reach = self._segments, self.task.rope_config.reach
+        before, after = segments.before[rows], segments.after[rows]
+        return Taken(segments.episodes.steps, before, after, name, reach)
 
     def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
         """Return the observations of the states [start, stop) of a segment with T transitions.
@@ -261,8 +263,8 @@ class Transitions(Outcomes):
         drawn = self._drawn(rows, rng)
         for first in range(0, max(1, len(rows)), size):
             some = slice(first, min(first + size, len(rows)))
-            own = (None if one is None else one[some] for one in drawn)
-            yield some, self._batch(rows[some], False, *own)
+            parts = (None if one is None else one[some] for one in drawn)
+            yield some, self._batch(rows[some], False, *parts)
 
     def _drawn(
         self, rows: Ids, rng: np.random.Generator | None
@@ -284,7 +286,7 @@ class Transitions(Outcomes):
     ) -> dict[str, Any]:
         window, segments = self.window or Window(), self._segments.of(rows)
         goals = self._goals(segments) if sampled is None else self._segments.states[sampled]
-        steps, found = self._of_window(rows, window, sampled)
+        steps, outcomes = self._of_window(rows, window, sampled)
         states = rows + segments
         ends = (states, states + steps)
         shown = [self._segments.states[self._stack(one, segments)] for one in ends]
@@ -293,15 +295,15 @@ class Transitions(Outcomes):
         batch = {
             "observations": seen[0],
             **self.seen_actions(rows, goals),
-            "rewards": found.pop("rewards"),
+            "rewards": outcomes.pop("rewards"),
             "next_observations": seen[1],
-            "terminals": found.pop("terminals"),
-            "timeouts": found.pop("timeouts"),
+            "terminals": outcomes.pop("terminals"),
+            "timeouts": outcomes.pop("timeouts"),
             **({"goals": seen[2]} if apart else {}),
         }
         if self.window is None:
             return batch
-        batch |= found  # discounts and pulls
+        batch |= outcomes  # discounts and pulls
         if window.chunk is not None:
             following = rows[:, None] + np.arange(window.chunk)
             kept = following < self.starts[segments + 1][:, None]
@@ -333,9 +335,9 @@ class Transitions(Outcomes):
 
 def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArray[Any]:
     """Gather actions; those not kept are zeros."""
-    found = actions[np.where(kept, rows, 0)]
-    found[~kept] = 0
-    return found
+    gathered = actions[np.where(kept, rows, 0)]
+    gathered[~kept] = 0
+    return gathered
 
 
 def _other_codes(codes: Ids, own: Ids, count: int, rng: np.random.Generator) -> Ids:

@@ -76,8 +76,8 @@ class GoalSampling:
         later = np.minimum(states + ahead, last)
         anywhere = rng.integers(count, size=len(states))
         chance = rng.random(len(states))
-        own = np.where(chance < 1 - self.p_randomgoal, later, anywhere)
-        return np.where(chance < self.p_currgoal, states, own)
+        drawn = np.where(chance < 1 - self.p_randomgoal, later, anywhere)
+        return np.where(chance < self.p_currgoal, states, drawn)
 
 
 @configuration

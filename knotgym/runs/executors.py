@@ -251,8 +251,8 @@ def _call(
     import cv2
 
     if versions() != run:
-        found = next(differences(run, versions()))
-        raise InvalidInput(f"a worker of the cluster has other versions than the run: {found}")
+        differs = next(differences(run, versions()))
+        raise InvalidInput(f"a worker of the cluster has other versions than the run: {differs}")
     with _one_at_a_time:
         if os.getcwd() != folder:
             sys.path[:] = filter(None, sys.path)  # "" would import from the run's folder

@@ -44,14 +44,14 @@ class Identity(dict[str, Any]):
     @property
     def reads(self) -> list[Path]:
         """The files that the run reads."""
-        found: list[Path] = []
-        _digests(self.files, found.append)
-        return found
+        files: list[Path] = []
+        _digests(self.files, files.append)
+        return files
 
     def require_unchanged(self) -> None:
         """Raise InvalidInput if a file has changed since."""
-        if found := list(differences(self.get("source") or {}, _digests(self.files), "source")):
-            raise InvalidInput(f"a source changed, so nothing is written: {found[0]}")
+        if changed := list(differences(self.get("source") or {}, _digests(self.files), "source")):
+            raise InvalidInput(f"a source changed, so nothing is written: {changed[0]}")
 
 
 def identity(
@@ -75,26 +75,26 @@ def identity(
         MissingFile, InvalidFile: a file can't be read.
         InvalidPolicy: nor that of a policy.
     """
-    found: Any = {}
-    for one in (config, *also):
-        states = [named for _, _, named in Mark.fields(type(one), one, "states")]
+    sources: Any = {}
+    for part in (config, *also):
+        states = [named for _, _, named in Mark.fields(type(part), part, "states")]
         pairs = [("shipped" if is_bundled(one) else "own", resolve_states(one)) for one in states]
         if states:
-            own = by_name([*found.get("states", {}).items(), *pairs])
-            found = merged(found, {"states": own})
-        for _, owner, named in Mark.fields(type(one), one, "policy"):
-            found = merged(found, {"policies": {named: owner.files()}})
+            sets = by_name([*sources.get("states", {}).items(), *pairs])
+            sources = merged(sources, {"states": sets})
+        for _, owner, named in Mark.fields(type(part), part, "policy"):
+            sources = merged(sources, {"policies": {named: owner.files()}})
     if used := plugins():
-        found = merged(found, {"plugins": used})
-    found = merged(found, files or {})
+        sources = merged(sources, {"plugins": used})
+    sources = merged(sources, files or {})
     whole = {
         "config": as_json(config) if fields is None else fields,
-        "source": _digests(found) or None,
+        "source": _digests(sources) or None,
         "versions": versions(),
         "rope": RopeConfig().fingerprint,
     }
     made = Identity(json.loads(json.dumps(whole)))
-    made.files = found
+    made.files = sources
     return made
 
 

@@ -102,13 +102,13 @@ class Difference(NamedTuple):
         """
         parts = [(np.asarray(values, np.float64), clusters) for values, clusters in sides]
         mean = float(parts[0][0].mean()) - sum(float(values.mean()) for values, _ in parts[1:])
-        found = [_spread(values, own, float(values.var()) / len(values)) for values, own in parts]
-        variance = sum(one[0] for one in found)
+        spreads = [_spread(values, own, float(values.var()) / len(values)) for values, own in parts]
+        variance = sum(one[0] for one in spreads)
         if not variance:  # nothing varies; each state then counts as one trial
             most = max(len(np.unique(np.asarray(one))) for _, own in parts for one in own)
             half, better = _wilson(0, most)[1], (1 + np.sign(mean)) / 2
         else:
-            half = _student(max(1, min(freedom for _, freedom in found))) * math.sqrt(variance)
+            half = _student(max(1, min(freedom for _, freedom in spreads))) * math.sqrt(variance)
             better = NormalDist().cdf(mean / math.sqrt(variance))
         return cls(mean, max(-1.0, mean - half), min(1.0, mean + half), float(better))
 

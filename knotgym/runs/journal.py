@@ -160,9 +160,9 @@ class Journal(ChainMap[str, Result]):
         if head != _HEAD:
             raise InvalidFile(f"{path} has {head!r:.80}; this version reads {_HEAD}")
         if there != self._run:
-            found = "; ".join(list(differences(there, self._run))[:3])
+            unlike = "; ".join(list(differences(there, self._run))[:3])
             raise InvalidInput(
-                f"{path} belongs to a different run: {found[:500]}; give the same"
+                f"{path} belongs to a different run: {unlike[:500]}; give the same"
                 " options again, or --restart to delete an interrupted run"
             )
         files = (file for file in _work(path) if file.name != CHECKPOINT)
@@ -216,8 +216,8 @@ def _write(file: IO[bytes], arrays: Result) -> None:
     """Write arrays as the fields of one record, and the checksum of that."""
     fields = [(name, one.dtype, one.shape) for name, one in arrays.items()]
     record, whole = np.zeros((), np.dtype(fields, align=True)), io.BytesIO()
-    for name, one in arrays.items():
-        record[name] = one
+    for name, array in arrays.items():
+        record[name] = array
     np.lib.format.write_array(whole, record, (1, 0), allow_pickle=False)
     file.write(whole.getvalue() + zlib.crc32(whole.getvalue()).to_bytes(_SUM, "little"))
 

@@ -300,13 +300,13 @@ def _is_finished(
     there = identity_of(out, identity_in) if options.resume and not replaces else None
     if there is None:
         return False
-    found = list(differences(dict(there), dict(identity)))
-    if found and not options.overwrite:
+    unlike = list(differences(dict(there), dict(identity)))
+    if unlike and not options.overwrite:
         raise InvalidInput(
-            f"{out} belongs to a different run: {'; '.join(found[:3])}; give the same options"
+            f"{out} belongs to a different run: {'; '.join(unlike[:3])}; give the same options"
             " again, or --overwrite to replace it"
         )
-    return not found
+    return not unlike
 
 
 def _complete(

@@ -60,9 +60,7 @@ def _write_files(
     # by the ends of their ids, such as tie-nx3-demonstrations-v0
     pairs = zip(_names_apart(ends), datasets, strict=True)
     for name, dataset in Counts.over(pairs, "writing datasets", len(datasets)):
-        kept = {
-            name: dataset.attributes[name] for name in {"expansion"} & dataset.attributes.keys()
-        }
+        kept = {n: dataset.attributes[n] for n in {"expansion"} & dataset.attributes.keys()}
         if not whole:
             dataset = replace(dataset, episodes=dataset.episodes.recording())
         elif dataset.episodes.is_recording:
