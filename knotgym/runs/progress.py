@@ -33,7 +33,7 @@ class Progress:
     While it is entered, it shows what `common.Counts` counts. If there is no terminal, plain lines
     are printed on standard error: with `lines` from the first moment, else after ten seconds.
     Whatever takes longer than that is named every ten seconds, even if nothing is done meanwhile; a
-    stage with an estimate once, and once more when that is over.
+    stage with an estimate when that is over, and every thirty.
     `clock` returns seconds.
     """
 
@@ -99,8 +99,10 @@ class Progress:
         while not self._over.wait(min(_LIVE_EVERY, _LINE_EVERY)):
             if not (self._lines or self._waits):
                 self._recount()
-            elif self._clock() - self._told >= _LINE_EVERY:
-                if self._done or not self._ends or self._told < self._ends <= self._clock():
+            elif (silent := self._clock() - self._told) >= _LINE_EVERY:
+                ends = self._ends or self._clock()  # a stage without an estimate is told each time
+                is_over = self._told < ends <= self._clock()
+                if self._done or is_over or silent >= 3 * _LINE_EVERY:
                     self._tell(self._line())
 
     def _recount(self) -> None:
