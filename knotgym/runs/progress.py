@@ -115,7 +115,7 @@ class Progress:
                 if Counts.compiling.value:
                     words.append(_COMPILING)
                 elif self._ends and not done:
-                    words.append(f"workers are starting, {self._wait()}")
+                    words.append(f"workers start, {self._wait()}")
                 self._bars.update(self._task.id, completed=done, facts="; ".join(words))
             else:
                 facts = _COMPILING * bool(Counts.compiling.value)

@@ -97,14 +97,14 @@ def compute(
     Raises:
         Failed: results of other shards are missing.
     """
-    memo = {} if memo is None else memo
+    memo, pool = {} if memo is None else memo, pool or InProcess()
     progress, totals = progress or Progress(quiet=True), Counter[str]()
 
     def _show(call: Call, done: Callable[[], float], total: int, result: Result | None) -> None:
         if count is not None and result is not None:
             totals.update(count(result))
-        lasts = 0.0 if pool is None or isinstance(pool, InProcess) else _STARTING
-        progress.stage(_stage(call), done, total, totals, lasts)
+        starts = results is None and not isinstance(pool, InProcess)
+        progress.stage(_stage(call), done, total, totals, starts * _STARTING)
 
     results: list[Result] | None = None
     while True:
@@ -114,7 +114,7 @@ def compute(
             output: Output = end.value
             return output
         totals.clear()  # they stand beside how many of these calls are done
-        _complete(calls[shard.number - 1 :: shard.of], memo, pool or InProcess(), _show)
+        _complete(calls[shard.number - 1 :: shard.of], memo, pool, _show)
         missing = [index for index, call in enumerate(calls) if call.key not in memo]
         if missing:
             recipe.close()

@@ -164,7 +164,7 @@ def test_items_that_go_on_count_by_their_share_and_workers_start_before_the_firs
             progress.stage("playing", done, 2, lasts=4.0)
             Counts.end_item(0.6)
     told = [line[9:].partition("; time")[0] for line in written.getvalue().splitlines()]
-    first = "playing: 0 of 2; workers are starting, about 4 s left"
+    first = "playing: 0 of 2; workers start, about 4 s left"
     assert told == [first, *(f"playing: {count} of 2" for count in (0, 1, 1))]
 
 
