@@ -74,15 +74,15 @@ class Entry(NamedTuple):
         """Replay: yield the result of each setup, and its faults."""
         config, seed_of = self.config, Stream.EVALUATION_EPISODE.derived_seed
         with executor(ENGINES[config.task.engine].workers) as pool:
-            done = Counts.from_now(pool=pool)
-            Counts.tell("episodes replayed", done, config.episodes * len(self.setups))
+            total = config.episodes * len(self.setups)
             for number, (policy, task) in enumerate(config.setups()):
+                first = number * config.episodes
+                Counts.tell("episodes replayed", Counts.from_now(first, pool), total)
                 few, stored = blocks(config.episodes, task, policy.plans), self.setups[number]
                 parts = [stored.select(np.arange(one.start, one.stop)) for one in few]
                 seeds = [[seed_of(config.seed, k) for k in one] for one in few]
                 made = [*map(dict[str, Any], pool.map(_replayed, [task] * len(few), seeds, parts))]
                 wrong = np.concatenate([one.pop("wrong") for one in made])
-                first = number * config.episodes
                 faults = [
                     f"setup {number + 1}, episode {first + k}: replayed, it ends otherwise or comes"
                     " through other states"
@@ -92,6 +92,7 @@ class Entry(NamedTuple):
                 if not faults and repeats(policy, claimed.get("versions")):
                     some = [*chain(*seeds)][: _DRAWN if policy.plans else _MANY]
                     drawn = stored.select(np.arange(len(some)))
+                    Counts.tell("episodes played again", Counts.from_now(), len(some))
                     if (row := acted_otherwise(policy, task, drawn, some)) is not None:
                         what = f"{policy.policy}, played again, pulls otherwise"
                         faults.append(f"setup {number + 1}, episode {first + row}: {what}")
