@@ -1,5 +1,3 @@
-from .arrays import Array as Array
-from .arrays import Ids as Ids
 from .atomic_files import atomic_write as atomic_write
 from .atomic_files import code_sha256 as code_sha256
 from .atomic_files import move_into_place as move_into_place
@@ -45,12 +43,14 @@ from .errors import MissingFile as MissingFile
 from .errors import Occupied as Occupied
 from .errors import one_line as one_line
 from .streams import Stream as Stream
+from .table_files import format_of as format_of
+from .table_files import new_hdf5 as new_hdf5
+from .table_files import read_tables as read_tables
+from .table_files import require_stored as require_stored
+from .table_files import write_tables as write_tables
+from .tables import Array as Array
 from .tables import Column as Column
+from .tables import Ids as Ids
 from .tables import Schema as Schema
 from .tables import Table as Table
-from .tables import format_of as format_of
-from .tables import new_hdf5 as new_hdf5
 from .tables import padded as padded
-from .tables import read_tables as read_tables
-from .tables import require_stored as require_stored
-from .tables import write_tables as write_tables

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
-from knotgym.common.tables import Column, Schema, Table, format_of, read_tables, write_tables
+from knotgym.common.table_files import format_of, read_tables, write_tables
+from knotgym.common.tables import Column, Schema, Table
 
 SCHEMA = Schema(
     "rows",
