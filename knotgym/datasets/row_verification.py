@@ -101,7 +101,8 @@ def _state_faults(states: States) -> Iterator[str]:
         ends = _replayed(states, rows, rope) if replays else None
         for row in rows:
             # replays count as half of the work
-            _tell_checked(states, rows.start, (len(rows) + row - rows.start) / 2)
+            done = rows.start + (len(rows) + row - rows.start) // 2
+            Counts.tell("states checked", done, len(states))
             for fault in _row_faults(states, row, rope, ends):
                 yield type(fault)(f"states.h5 row {row}: {fault}")
     # without seeds each row may be of a rope of its own
@@ -280,18 +281,13 @@ def _actions_of(states: States, row: int) -> NDArray[np.float32]:
     return drawn_actions(seed, steps)
 
 
-def _tell_checked(states: States, first: int, more: float) -> None:
-    Counts.tell("states checked", first + int(more), len(states))
-
-
 def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Array]:
     """Replay rows; return the final qpos (nq,) of each that could be replayed."""
     actions = {}
     for row in rows:
         with suppress(InvalidInput):  # a fault of the row
             actions[row] = _actions_of(states, row)
-    left = sorted(actions)
-    if not left:
+    if not (left := sorted(actions)):
         return {}
     ropes = simulation(states.engine, len(left), rope, threads=0)
     ropes.set_qpos(states.source["start_qpos"][left])
@@ -300,7 +296,8 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Arra
     lengths = np.array([len(actions[row]) for row in left])
     for step in range(int(lengths.max())):
         replayed = np.minimum(lengths, step).sum() / max(1, lengths.sum())
-        _tell_checked(states, rows[0], replayed * len(rows) / 2)
+        done = rows[0] + int(replayed * len(rows) / 2)
+        Counts.tell("states checked", done, len(states))
         ids = np.flatnonzero(whole & (step < lengths))
         if len(ids):
             whole[ids] = ropes.act([actions[left[k]][step] for k in ids], ids)
@@ -365,10 +362,8 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
         yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
         return
     tables, drawer = APPEARANCES[name].own_columns, Drawer.of(name)
-    structures = [
-        "appearance",
-        *(column for columns in tables for column in columns if column in row),
-    ]
+    named = (column for columns in tables for column in columns if column in row)
+    structures = ["appearance", *named]
     chosen = {one.name for one in fields(drawer.look)}  # others are measured in the picture
     factors = [
         (f"{one}.{factor}", value)
