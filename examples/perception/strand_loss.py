@@ -16,6 +16,7 @@ ORIENTATIONS, CELL = 16, 2  # channels of the lifted fields; pixels of a cell
 # Values below were set by hand; no record says what others would score.
 _SIGMA, _TAU = 0.9, math.radians(9.0)  # widths of responses, cells and radians
 _RARE = 9.0  # extra weight of cells with a full response, of which there are few
+_FEW = 1000.0  # full responses that are counted at least, for pictures without a rope
 _REACH = 2  # cells around a line or a crossing
 _NEAR = 1.5  # width of the weight at a crossing, cells
 _UPPER = 2.0  # weight of the loss of upper strands
@@ -40,7 +41,7 @@ def strand_loss(
     wanted = lifted_lines(line, side)
     each = functional.binary_cross_entropy_with_logits(lines, wanted, reduction="none")
     # nearly all responses are 0; the mean is for each full one
-    loss = ((1 + _RARE * wanted) * each).sum() / wanted.sum()
+    loss = ((1 + _RARE * wanted) * each).sum() / wanted.sum().clamp(min=_FEW)
     places, share = _window(crossings[..., :2], side)
     share = share * crossings[..., 4:]
     cells = places.flatten(1)[:, None].expand(-1, 2, -1)
