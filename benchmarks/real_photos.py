@@ -2,26 +2,30 @@
 
     python benchmarks/real_photos.py FOLDER LABELS
     python benchmarks/real_photos.py --drawn 500
+    python benchmarks/real_photos.py --statistics FOLDER...
 
 FOLDER has the repositories that LABELS names, as OWNER/NAME or, with one repository, its files.
 LABELS is a CSV file with the columns repo, path, ropes, ends (open or closed), crossings and
 gauss_code; codes were counted by eye. `--drawn` draws so many photos of each kind of
-the ropes of the test split. docs/photos.md has the tables.
+the ropes of the test split. `--statistics` measures the pictures of folders, and drawn ones, across
+the lines that are read, at 256 pixels: medians, and what is between the tenths at both ends.
+docs/photos.md has the tables.
 """
 
 import csv
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.learn import load_rope_reader
-from knotgym.photos import open_picture, photograph
+from knotgym.photos import is_picture, open_picture, photograph
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
 from knotgym.topology import RopesCode, find_ropes_crossings
@@ -129,6 +133,42 @@ def score(photos: Iterator[Known], weights: list[str], says: bool) -> Counter[st
     return counts
 
 
+def statistics(picture: NDArray[np.uint8]) -> dict[str, float]:
+    """Measure a picture: empty if too little rope is read in it."""
+    side = 256 / max(picture.shape[:2])
+    small = cv2.resize(picture, None, fx=side, fy=side, interpolation=cv2.INTER_AREA)
+    lab = cv2.cvtColor(small.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+    grain = cv2.Laplacian(lab[..., 0], cv2.CV_32F)
+    off, widths, rises, length = np.arange(-16, 16.5, 0.5), list[float](), list[float](), 0.0
+    for rope in load_rope_reader().read(small, views=1, scales=(1.0,)).ropes:
+        way = np.gradient(rope.line, axis=0)
+        steps = np.hypot(*way.T)[:, None]
+        length += float(steps.sum())
+        across = np.column_stack([-way[:, 1], way[:, 0]]) / np.maximum(steps, 1e-6)
+        places = (rope.line[:, None] + off[:, None] * across[:, None] - 0.5).astype(np.float32)
+        for levels in cv2.remap(lab, places[..., 0], places[..., 1], cv2.INTER_LINEAR):
+            away = levels - np.median(levels[[*range(12), *range(-12, 0)]], axis=0)
+            apart = np.sqrt(away**2 @ [1, 0.5, 0.5])
+            top = np.median(apart[30:35])
+            low = 32 - int(np.argmax(apart[32::-1] <= top / 2))
+            high = 32 + int(np.argmax(apart[32:] <= top / 2))
+            if top < 6 or not 8 <= low < 32 < high < len(off) - 8:
+                continue
+            widths.append((high - low) / 2)
+            for edge in (apart[low - 8 : low + 9], apart[high - 8 : high + 9][::-1]):
+                first, last = (int(np.argmax(edge > share * top)) for share in (0.2, 0.8))
+                rises += [(last - first) / 2] * (last >= first > 0)
+    if len(widths) < 10 or not rises:
+        return {}
+    return {
+        "noise": 1.4826 * float(np.median(np.abs(grain - np.median(grain)))),
+        "edge rise": float(np.median(rises)),
+        "light": float(np.ptp(cv2.GaussianBlur(lab[..., 0], (0, 0), 24)[8:-8, 8:-8])),
+        "length over width": length / float(np.median(widths)),
+        "width": float(np.median(widths)),
+    }
+
+
 def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
@@ -137,7 +177,24 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=[*KINDS], choices=[*KINDS])
     parser.add_argument("--weights", nargs=1, default=[], help="folder of a reader")
     parser.add_argument("--misread", action="store_true", help="print what was read wrongly")
+    parser.add_argument("--statistics", type=Path, nargs="+", default=[], metavar="FOLDER")
     args = parser.parse_args()
+    sets: dict[str, Iterable[NDArray[np.uint8]]] = {
+        str(folder): map(open_picture, sorted(filter(is_picture, folder.iterdir()))[:40])
+        for folder in args.statistics
+    }
+    if sets:
+        sets |= {
+            name: (photo[1] for photo in drawn(name, 40))
+            for name in ("table, closed", "phone, closed", "2 to 4 ropes")
+        }
+    for name, pictures in sets.items():
+        rows = [row for picture in pictures if (row := statistics(picture))]
+        print(f"{name:32} {len(rows)} pictures", end="")
+        for key in rows[0] if rows else ():
+            low, half, high = np.quantile([row[key] for row in rows], (0.1, 0.5, 0.9))
+            print(f"; {key} {half:.2f} ({low:.2f} to {high:.2f})", end="")
+        print(flush=True)
     tables = {kind: drawn(kind, args.drawn) for kind in args.kinds if args.drawn}
     if args.labels:
         tables["real"] = real(args.folder, args.labels)

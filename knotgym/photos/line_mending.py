@@ -22,11 +22,15 @@ _GAP, _TURN = 9.0, 1.2
 _LIT = 0.25  # or if the response between them is so large everywhere, whatever the turn
 # loose ends so near, cells, that face each other so well (cosine), while another line passes so
 # near, cells, all the way between them: a flat crossing
-_MERGED, _FACING, _BESIDE = 34.0, 0.7, 2.2
+_MERGED, _FACING, _BESIDE = 34.0, 0.5, 3.2
+# Loose ends that so face each other over a gap of _MERGED, each so near, cells, to a line that
+# passes between them, are a strand's under a wide rope.
+_UNDER, _COVERED = 0.8, 9.0
 # of lines that touch: distance, cells; points on either side; by how much less they bend, crossed
 _TOUCH, _ARM, _BENT = 1.8, 6, 0.3
 _TWIN, _PARALLEL = 2.5, 0.5  # a line so near to a longer one, and so parallel, cells and radians
 _TWIN_SHARE = 0.6  # of its points, was found twice
+_RIM = 5.0  # a line nowhere farther from an edge of the picture, cells, is no rope's
 _FILLED = 0.7  # response between both sides of a closed line, of theirs, that is one rope's
 
 
@@ -38,13 +42,19 @@ class Line(NamedTuple):
 
 
 def mended(lines: list[Line], response: NDArray[np.float32], frame: Array) -> list[Line]:
-    """Drop, part, join and cross lines, in this order, see `strand_lines.lines_in`.
+    """Drop, part, join, cross and drop lines, in this order, see `strand_lines.lines_in`.
 
     Args:
         response: float32 (h, w), the largest of each cell.
         frame: float64 (4,), edges of the picture.
     """
-    return _exchanged(_joined(_parted(_alone(lines)), response, frame))
+    lines = _exchanged(_joined(_parted(_alone(lines)), response, frame))
+    return [one for one in lines if not _is_on_rim(one, frame)]
+
+
+def _is_on_rim(line: Line, frame: Array) -> bool:
+    """Tell whether a line never leaves one edge of the picture: that of a thing which it cuts."""
+    return bool((np.abs(np.tile(line.points, 2) - frame).max(axis=0) < _RIM).any())
 
 
 def one_way(line: Line, response: NDArray[np.float32]) -> Line:
@@ -54,8 +64,8 @@ def one_way(line: Line, response: NDArray[np.float32]) -> Line:
     tip = int(np.hypot(*(line.points - line.points.mean(axis=0)).T).argmax())
     there, back = np.array_split(np.roll(line.points, -tip, 0), 2)
     back = back[np.hypot(*(there[:, None] - back[None]).transpose(2, 0, 1)).argmin(axis=1)]
-    sides = np.minimum(_response_at(response, there), _response_at(response, back))
-    filled = _response_at(response, 0.5 * (there + back)) > _FILLED * sides
+    sides = np.minimum(response_at(response, there), response_at(response, back))
+    filled = response_at(response, 0.5 * (there + back)) > _FILLED * sides
     return Line(there, False) if filled.mean() > _TWIN_SHARE else line
 
 
@@ -85,7 +95,8 @@ def _alone(lines: list[Line]) -> list[Line]:
     return kept
 
 
-def _response_at(response: NDArray[np.float32], places: Array) -> NDArray[np.float32]:
+def response_at(response: NDArray[np.float32], places: Array) -> NDArray[np.float32]:
+    """Return the response, float32 (h, w), at places (n, 2), float32 (n,)."""
     column, row = np.rint(places).astype(int).T.clip(0, response.shape[0] - 1)
     return response[row, column]
 
@@ -273,21 +284,40 @@ def _joined(lines: list[Line], response: NDArray[np.float32], frame: Array) -> l
                 turn = np.arccos(np.clip(way @ -their, -1, 1))
                 cut = np.abs(np.concatenate([at, at]) - frame) < CUT
                 cut &= np.abs(np.concatenate([there, there]) - frame) < CUT
+                ahead = (there - at) / max(gap, 1e-6)
+                faced = min(way @ ahead, -their @ ahead)
                 if gap >= (CUT_APART if cut.any() else _GAP):
+                    if gap < _MERGED and faced > _UNDER and _is_under(lines, at, there):
+                        found.append((gap + BEND * turn, i, j))
                     continue
                 # each points at the other; or at a tight bend, where all directions are lit, the
                 # response between them is that of a strand
-                faces = min(way @ (there - at), their @ (at - there)) > 0.5 * gap
                 between = at + np.linspace(0, 1, 9)[:, None] * (there - at)
                 # strands that leave the picture side by side are lit as well, but less
-                least = _response_at(response, between).min()
+                least = response_at(response, between).min()
                 dark = gap > STEP and least < DARK
-                if (turn < _TURN and faces and not dark) or least > _LIT * (1 + cut.any()):
+                if (turn < _TURN and faced > 0.5 and not dark) or least > _LIT * (1 + cut.any()):
                     found.append((gap + BEND * turn, i, j))
         if not found:
             return lines
         one, other = (ends[index][:2] for index in min(found)[1:])
         lines = _united(lines, one, other)
+
+
+def _is_under(lines: list[Line], at: Array, there: Array) -> bool:
+    """Tell whether a line passes between two places and near both."""
+
+    def sides(first: Array, last: Array, places: Array) -> Array:
+        return np.linalg.det(np.stack(np.broadcast_arrays(last - first, places - first), axis=-2))
+
+    for points, closed in lines:
+        first, last = (points, np.roll(points, -1, 0)) if closed else (points[:-1], points[1:])
+        crossed = sides(at, there, first) * sides(at, there, last) < 0
+        crossed &= sides(first, last, at) * sides(first, last, there) < 0
+        near = [np.hypot(*(points - one).T).min() < _COVERED for one in (at, there)]
+        if crossed.any() and all(near):
+            return True
+    return False
 
 
 def _loose_ends(lines: list[Line]) -> list[tuple[int, int, Array, Array]]:

@@ -95,7 +95,7 @@ LOOKS = {
         limits=LIMITS._replace(angle=8.0, region=8.0, contrast=14.0, order=8.0),
         widths=(3.0, 30.0),
         fill=(0.6, 1.0),
-        kinds=(*SURFACES, "clutter"),
+        kinds=("gradient", "noise", *SURFACES, "clutter"),  # most real tables are plain
         dim=0.03,
         occluded=0.0,
         evenly=_EVENLY | _ANY,

@@ -2,8 +2,8 @@
 
 A network finds the strands and, at crossings, which is the upper one (`strand_network`); the lines
 that these fields hold (`strand_lines`) cross each other, which gives the code. Mirror images and
-quarter turns of the picture are read too, and their fields averaged. A picture is read at several
-scales, while its lines are unsure; the reading with the surest lines counts.
+quarter turns of the picture are read too, and their fields averaged. A picture is read at two
+scales, and at more if that leaves doubt: a code that both give is right 99 times of 100.
 
 After a change run `pytest tests/photos/test_rope_reader.py`: drawn lines must be walked through
 their crossings, fields of turned pictures be turned back, and photos be read.
@@ -11,8 +11,8 @@ their crossings, fields of turned pictures be turned back, and photos be read.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knotgym.common import Array, InvalidInput
-from knotgym.photos.line_mending import Line
+from knotgym.photos.line_mending import Line, response_at
 from knotgym.photos.strand_lines import lines_in
 from knotgym.photos.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.topology import GaussCode, RopesCode, find_ropes_crossings, knot_type
@@ -33,13 +33,19 @@ VIEWS = 8  # mirror images and quarter turns of a picture
 # Chosen on drawn photos and on mBEST's S1 0 to 44 (docs/photos.md has what came of it).
 _SCALES = (1.0, 1.5, 0.8, 0.65, 0.5)  # of the picture's longer side; larger for thin ropes
 _FEW = 2  # views at scales that are only looked at
-# score of the lines at which no other scale is looked at, after the first and after more
-_SURE, _FAIR = 0.85, 0.6
+# Logarithm of the odds that a reading is right: so much for any, more for one whose code both of
+# the first scales give, for one at a scale larger or smaller than the first, and so much times the
+# logarithm of the weakest response along its lines. Fitted to 840 drawn photos of both looks, of
+# diagrams that no network was trained on (docs/photos.md).
+_ANY, _CONFIRMED, _LARGER, _SMALLER, _RESPONSE = 0.85, 4.55, 0.97, -3.3, 3.4
+_FAIR = 0.5  # chance at which no smaller scale is looked at
 _LOOP = 6.0  # length of the smallest loop, cells
 _TIP = 2.5  # points at a loose end, where a crossing is the end lying on a strand
 _EDGE = 6.0  # a loose end nearer to the edge of the picture is where the rope leaves it, cells
-_SMALLER = 0.75  # factor on the scores of smaller scales
-_ALTERNATIVE = 0.9  # share of the best score at which a reading with ends forbids a closed code
+_LEAST = 0.02  # of responses, before their logarithms are taken
+_NOTHING = 0.5  # chance that there is no rope where no line is found
+_ALTERNATIVE = 0.6  # share of the best chance at which a reading with ends forbids a closed code
+_ALIKE = 0.02  # added to the distance of directions, squared, so that like ones count less
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +55,7 @@ class Rope:
     Attributes:
         closed: whether it has no ends.
         gauss_code: its visits; labels are those of the picture, from 1 in order of first visit.
-        confidence: a score in [0, 1], higher where its code is surer to be right.
+        confidence: the chance, in [0, 1], that its code is right.
         knot: knot type of a closed rope, of its crossings with itself; None if it is open.
         line: float64 (n, 2), its centre line, x and y in pixels.
     """
@@ -73,7 +79,7 @@ class PhotoReading:
     Attributes:
         ropes: the longest first.
         code: the code of them all, the smallest of all directions and starts; None without a rope.
-        confidence: a score in [0, 1]; that of the least sure rope.
+        confidence: that of the least sure rope.
         places: float64 (n, 2), the crossings in order of labels, x and y in pixels.
         votes: float64 (n,), how sure it is which strand is on top there, in [0, 1].
         over: float64 (n, 2), unit vectors along the upper strands.
@@ -123,8 +129,8 @@ class RopeReader:
         Args:
             picture: uint8 (height, width, 3), RGB, or (height, width), grey.
             views: mirror images and turns that are read, 1 to VIEWS; fewer are faster.
-            scales: of the picture in what the network sees, the first with all views. The others
-                are looked at while none is sure.
+            scales: of the picture in what the network sees, the first with all views. The first
+                two are looked at, others until a reading is more likely right than wrong.
 
         Raises:
             InvalidInput: it isn't such a picture, or there are no such views.
@@ -144,38 +150,81 @@ class RopeReader:
             )
         if not 1 <= views <= VIEWS:
             raise InvalidInput(f"views must be from 1 to {VIEWS}, got {views}")
-        found = list[tuple[PhotoReading, float]]()
+        looks = list[_Look]()
         for scale in scales:
             seen, shift, step = _placed(picture, scale)
             with inference():
                 tensor = torch.from_numpy(seen).permute(2, 0, 1)[None]
-                fields = _averaged(self.network, tensor, views if not found else min(views, _FEW))
-            found.append(_reading(fields, picture.shape, shift, step))
-            if found[-1][1] >= (_SURE if len(found) == 1 else _FAIR):
+                fields = _averaged(self.network, tensor, views if not looks else min(views, _FEW))
+            looks.append(_Look(*_reading(fields, picture.shape, shift, step), scale))
+            best = _best(looks)
+            if len(looks) > 1 and best[1] >= _FAIR:
                 break
-        return _best(found, scales)
+        return best[0]
 
 
-def _best(found: Sequence[tuple[PhotoReading, float]], scales: Sequence[float]) -> PhotoReading:
+class _Look(NamedTuple):
+    """A reading at one scale, and the weakest response along each of its ropes."""
+
+    reading: PhotoReading
+    weakest: Array
+    scale: float
+
+    def chance(self, confirmed: bool, weakest: float) -> float:
+        """The chance that the reading is right."""
+        if not self.reading.ropes:
+            return _NOTHING
+        odds = _ANY + _CONFIRMED * confirmed + _RESPONSE * np.log(max(weakest, _LEAST))
+        odds += _LARGER if self.scale > 1 else _SMALLER if self.scale < 1 else 0.0
+        return float(1 / (1 + np.exp(-odds)))
+
+
+def _agree(one: PhotoReading, other: PhotoReading) -> bool:
+    """Tell whether two readings have the same code, or both no rope."""
+    codes = [reading.code.plain for reading in (one, other) if reading.code]
+    shapes = [sorted(zip(code.closed, map(len, code.visits), strict=True)) for code in codes]
+    if len(codes) < 2 or shapes[0] != shapes[1]:
+        return not codes
+    return codes[0].smallest(ordered=False) == codes[1].smallest(ordered=False)
+
+
+def _best(looks: Sequence[_Look]) -> tuple[PhotoReading, float]:
     """Choose among the readings of one picture at several scales.
 
-    How sure its lines are decides: which strand is on top is no clearer at another scale. A closed
-    code is withheld where a reading with ends is nearly as sure.
+    A closed code is withheld where no second scale confirms it, and a reading with ends is nearly
+    as likely.
+
+    Returns:
+        The reading, and the chance that it is right.
     """
-    # with fewer pixels a score says less
-    scores = [
-        score * (_SMALLER if scale < 1 else 1.0)
-        for (_, score), scale in zip(found, scales, strict=False)
+    confirmed = len(looks) > 1 and _agree(looks[0].reading, looks[1].reading)
+    chances = [
+        one.chance(confirmed and k < 2, one.weakest.min(initial=1.0)) for k, one in enumerate(looks)
     ]
-    best = found[int(np.argmax(scores))][0]
+    best = int(np.argmax(chances))
+    look, reading, chance = looks[best], looks[best].reading, chances[best]
+    # an unsure vote for an upper strand makes its ropes unsure
+    own = (
+        [[abs(visit) - 1 for visit in walk] for walk in reading.code.visits] if reading.code else []
+    )
+    ropes = tuple(
+        replace(rope, confidence=round(look.chance(confirmed, weakest) * votes, 3))
+        for rope, weakest, votes in zip(
+            reading.ropes,
+            look.weakest.tolist(),
+            [0.5 + 0.5 * float(reading.votes[rows].min(initial=1.0)) for rows in own],
+            strict=True,
+        )
+    )
+    confidence = min((one.confidence for one in ropes), default=0.0)
     others = [
-        one.confidence for (one, _), score in zip(found, scores, strict=True)
-        if one.code and not one.closed and score >= _ALTERNATIVE * max(scores)
+        other for one, other in zip(looks, chances, strict=True)
+        if one.reading.loose.size and other >= _ALTERNATIVE * chance
     ]  # fmt: skip
-    if best.closed and others:
-        reason = f"two readings, {best.confidence:.1f} and {max(others):.1f}"
-        return PhotoReading(confidence=best.confidence, reason=reason)
-    return best
+    if reading.closed and others and not confirmed:
+        reason = f"two readings, {chance:.1f} and {max(others):.1f}"
+        return PhotoReading(confidence=confidence, reason=reason), chance
+    return replace(reading, ropes=ropes, confidence=confidence), chance
 
 
 @contextmanager
@@ -245,35 +294,33 @@ def _turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
 
 def _reading(
     fields: Fields, shape: Sequence[int], shift: Array, step: float
-) -> tuple[PhotoReading, float]:
+) -> tuple[PhotoReading, Array]:
     """Read the fields of a picture that was placed as `_placed` says.
 
     Returns:
-        The reading, and how sure its lines are, in [0, 1], whatever strand is on top.
+        The reading, without confidence, and the weakest response along each rope, in [0, 1].
     """
     height, width = shape[:2]
     frame = np.append(shift, shift + step * np.array([width, height])) / CELL - 0.5
-    lines, passed = lines_in(fields.lines, frame)
-    lines = [_without_loops(line) for line in lines]
+    lines = [_without_loops(line) for line in lines_in(fields.lines, frame)]
     lines = [line for line in lines if len(line.points) > 3]
     if not lines:
-        return PhotoReading(), 0.0
+        return PhotoReading(), np.empty(0)
     code, places, votes, over = _crossed(lines, fields.upper)
-    score = passed**4 * 0.99**code.nx * 0.8 ** (len(lines) - 1)
-    ropes = []
+    response, weakest, ropes = fields.lines.max(axis=0), list[float](), list[Rope]()
     for k, line in enumerate(lines):
-        own = [abs(visit) - 1 for visit in code.visits[k]]
-        sure = float(np.clip(score * votes[own].min(initial=1.0), 0, 1))
+        # of three cells each, so that one cell decides nothing
+        along = np.convolve(response_at(response, line.points), np.ones(3) / 3, "valid")
+        weakest.append(float(along.min()))
         knot = _knot(code.rope(k)) if line.closed else None
         pixels = ((line.points + 0.5) * CELL - shift) / step
-        ropes.append(Rope(line.closed, code.texts[k], round(sure, 3), knot, pixels))
+        ropes.append(Rope(line.closed, code.texts[k], 0.0, knot, pixels))
     tips = [rope.line[[0, -1]] for rope in ropes if not rope.closed]
     loose = np.concatenate(tips) if tips else np.empty((0, 2))
-    confidence = min(rope.confidence for rope in ropes)
     pixels = ((places + 0.5) * CELL - shift) / step
     reason = _reason(loose, shape, _EDGE * CELL / step)
-    reading = PhotoReading(tuple(ropes), code, confidence, pixels, votes, over, loose, reason)
-    return reading, float(score)
+    reading = PhotoReading(tuple(ropes), code, 0.0, pixels, votes, over, loose, reason)
+    return reading, np.array(weakest)
 
 
 def _knot(code: GaussCode) -> str:
@@ -332,7 +379,8 @@ def _crossed(
     """
     found = find_ropes_crossings([_flat(line) for line in lines], [one.closed for one in lines])
     starts = np.cumsum([0, *(len(line.points) for line in lines)])
-    votes, over, dropped = np.empty(len(found.sign)), np.empty((len(found.sign), 2)), set[int]()
+    count, dropped = len(found.sign), set[int]()
+    votes, over = np.empty(count), np.empty((count, 2))
     both = np.stack([found.over_place, found.under_place], axis=1)
     for k, (x, y) in enumerate(found.position * (1.0, -1.0)):
         ways = []
@@ -343,8 +391,8 @@ def _crossed(
             if not line.closed and not _TIP <= at <= len(line.points) - 1 - _TIP:
                 dropped.add(k + 1)
         between = ways[0] - ways[1]
-        # at most the sine of their angle: the flatter they cross, the less sure
-        votes[k] = _bilinear(upper, x, y) @ between / max(float(np.hypot(*between)), 1e-6)
+        # 1 if the network says one of both; 2 p - 1 if it gives that a chance of p
+        votes[k] = _bilinear(upper, x, y) @ between / (0.5 * between @ between + _ALIKE)
         half = 0.5 * np.arctan2(*ways[int(votes[k] < 0)][::-1])
         over[k] = np.cos(half), np.sin(half)
     # a vote against the strand that is visited first switches the crossing

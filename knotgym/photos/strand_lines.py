@@ -25,6 +25,7 @@ from knotgym.photos.line_mending import (
     Line,
     mended,
     one_way,
+    response_at,
     smooth,
 )
 
@@ -41,12 +42,13 @@ _ROUNDS = 20  # times that short chains are dropped, at most
 _SWERVE = 3.0  # cost of a link that doesn't point in the direction of both ends: share per radian^2
 _WHOLE = 0.92  # share of the points at which closed lines are taken for all that there is
 _LOOSE = 4  # points; a shorter chain is dropped while points are linked
-_SHORT = 8  # points; a shorter line is no rope
-_BRIEF, _WEAK = 24, 0.6  # points; a line so short of a weaker response is no rope
+# Points: a shorter line is no rope, nor one whose response is weaker; at the edge of the picture,
+# where little of a rope may be seen, and elsewhere. Longer ones than the last are ropes.
+_STUB, _SHORT, _BRIEF, _WEAK = 4, 8, 24, 0.6
 _CROWDED = 3200  # points; more aren't a rope's
 
 
-def lines_in(fields: NDArray[np.float32], frame: Array) -> tuple[list[Line], float]:
+def lines_in(fields: NDArray[np.float32], frame: Array) -> list[Line]:
     """Find the lines of ropes.
 
     Args:
@@ -55,26 +57,30 @@ def lines_in(fields: NDArray[np.float32], frame: Array) -> tuple[list[Line], flo
             that leave there aren't joined.
 
     Returns:
-        The lines, the longest first; and the share of the points found that they pass.
+        The lines, the longest first.
     """
     points, response = _ridge_points(fields), fields.max(axis=0)
-    if not _SHORT <= len(points) <= _CROWDED:
-        return [], 0.0
+    if not _STUB <= len(points) <= _CROWDED:
+        return []
     for loose in (False, True):
         partner, paid = _link(points, response, frame, loose)
         _exchange(points, partner, paid)
-        chains = [chain for chain in _chains(partner) if len(chain[0]) >= _SHORT]
-        if sum(len(own) for own, closed in chains if closed) >= _WHOLE * len(points):
+        chains = [
+            Line(points[own, :2], closed) for own, closed in _chains(partner) if len(own) >= _STUB
+        ]
+        if sum(len(one.points) for one in chains if one.closed) >= _WHOLE * len(points):
             break
-    lines = [
-        Line(points[own, :2], closed) for own, closed in chains
-        if len(own) >= _BRIEF or points[own, 3].mean() >= _WEAK
-    ]  # fmt: skip
+    lines = [one for one in chains if _is_rope(one, response, frame)]
     lines = mended(lines, response, frame)
-    passed = sum(len(one.points) for one in lines) / len(points)
     lines = [smooth(one_way(one, response)) for one in lines]
-    lines = [one for one in lines if len(one.points) >= _SHORT]
-    return sorted(lines, key=lambda one: -len(one.points)), min(passed, 1.0)
+    return sorted(lines, key=lambda one: -len(one.points))
+
+
+def _is_rope(line: Line, response: NDArray[np.float32], frame: Array) -> bool:
+    count = len(line.points)
+    near = np.abs(np.tile(line.points[[0, -1]], 2) - frame).min() < CUT
+    strong = response_at(response, line.points).mean() >= _WEAK
+    return bool(count >= _BRIEF or (count >= (_STUB if near else _SHORT) and strong))
 
 
 @kernel

@@ -13,7 +13,7 @@ from torch import Tensor
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.learn import load_rope_reader
 from knotgym.photos import PhotoReading, photograph
-from knotgym.photos.line_mending import Line, _exchanged
+from knotgym.photos.line_mending import Line, _exchanged, mended
 from knotgym.photos.rope_reader import _reading
 from knotgym.photos.strand_network import CELL, Fields
 from knotgym.states import States, read_states, shipped
@@ -104,6 +104,24 @@ def test_lines_that_touch_and_bend_away_cross_and_parallel_ones_stay() -> None:
         found = _exchanged(lines)
         flat = [np.column_stack([one.points, np.zeros(len(one.points))]) for one in found]
         assert len(find_ropes_crossings(flat, False).sign) == crossings
+
+
+def test_a_strand_under_a_wide_rope_is_joined_and_one_that_ends_there_is_not() -> None:
+    way, dark = np.arange(20.0, 108.0), np.zeros((SIDE // CELL, SIDE // CELL), np.float32)
+    frame = np.array([0.0, 0.0, 127.0, 127.0])
+    wide = Line(np.column_stack([way, 0.5 * way + 32]), False)
+    before = Line(np.column_stack([way[:35], np.full(35, 64.0)]), False)
+    behind = Line(np.column_stack([way[53:], np.full(35, 64.0)]), False)
+    aside = Line(behind.points + (0.0, 20.0), False)
+    assert len(mended([wide, before, behind], dark, frame)) == 2
+    assert len(mended([wide, before, aside], dark, frame)) == 3
+
+
+def test_a_line_along_the_edge_of_the_picture_is_no_rope() -> None:
+    way, dark = np.arange(20.0, 108.0), np.zeros((SIDE // CELL, SIDE // CELL), np.float32)
+    for above, kept in ((3.0, 0), (9.0, 1)):
+        line = Line(np.column_stack([way, np.full(len(way), 127.0 - above)]), False)
+        assert len(mended([line], dark, np.array([0.0, 0.0, 127.0, 127.0]))) == kept
 
 
 @pytest.mark.parametrize(
