@@ -51,7 +51,9 @@ def test_photos_are_read_into_json_and_csv(
     assert rows[2]["ropes"] == [] and "isn't a picture" in rows[2]["reason"]
     assert np.asarray(Image.open(seen / "b.png")).shape == wire.shape
     assert "a.png: closed rope, 2 crossings, 0_1:" in capsys.readouterr().out
-    assert read_photo(photos / "b.jpg").row == {name: rows[1][name] for name in rows[1] if name != "file"}
+    assert read_photo(photos / "b.jpg").row == {
+        name: rows[1][name] for name in rows[1] if name != "file"
+    }
 
     whole = (photos / "a.png").read_bytes()
     for more in ((), ("--overwrite",)):  # the overlay of a.png would be a.png
