@@ -212,8 +212,9 @@ def example(ropes: list[Array], number: int, new: float) -> Example:
         bare = cut < 0.05
         part = SIDE / rng.uniform(1.2, 2.7 if bare else 2.0)
         corners = np.floor(rng.uniform(0, SIDE - part, (40 if bare else 1, 2)))
-        at = line[:, None, :2]
-        seen = np.all((corners - CLEAR < at) & (at < corners + part + CLEAR), axis=2).any(axis=0)
+        beads = line[:, None, :2]
+        inside = (corners - CLEAR < beads) & (beads < corners + part + CLEAR)
+        seen = inside.all(axis=2).any(axis=0)
         low = corners[seen.argmin()]  # the first without a rope, if there is one
         zoom = np.array([[SIDE / part, 0.0, 0.0], [0.0, SIDE / part, 0.0]])
         zoom[:, 2] = zoom[0, 0] * (0.5 - low) - 0.5
@@ -227,9 +228,9 @@ def example(ropes: list[Array], number: int, new: float) -> Example:
         high[axis] = low[axis] + share * SIDE
         at = np.arange(SIDE) + 0.5
         x, y = ((low[k] <= at) & (at < high[k]) for k in range(2))
-        inside = (y[:, None] & x).view(np.uint8)
-        edge = (inside > 0) & (cv2.erode(inside, np.ones((3, 3)), borderValue=0) == 0)
-        image = np.where(inside[..., None], image, np.median(image[edge], axis=0).astype(np.uint8))
+        shown = (y[:, None] & x).view(np.uint8)
+        edge = (shown > 0) & (cv2.erode(shown, np.ones((3, 3)), borderValue=0) == 0)
+        image = np.where(shown[..., None], image, np.median(image[edge], axis=0).astype(np.uint8))
     for found in places:
         found[:, -1] *= np.all((low <= found[:, :2]) & (found[:, :2] < high), axis=1)
     return image, line, crossings

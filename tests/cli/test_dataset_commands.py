@@ -73,7 +73,7 @@ def test_what_takes_long_with_much_data_counts_what_is_done(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     np.savetxt("curve.csv", trefoil(), delimiter=",")
-    told: dict[str, list[tuple[int, int]]] = {}
+    told: dict[str, list[tuple[float, int]]] = {}
 
     def hear(_: Progress, stage: str, done: Counts.Done = 0, total: int = 0) -> None:
         if total:
