@@ -33,11 +33,11 @@ VIEWS = 8  # mirror images and quarter turns of a picture
 # Chosen on drawn photos and on mBEST's S1 0 to 44 (docs/photos.md has what came of it).
 _SCALES = (1.0, 1.5, 0.8, 0.65, 0.5)  # of the picture's longer side; larger for thin ropes
 _FEW = 2  # views at scales that are only looked at
-# Logarithm of the odds that a reading is right: so much for any, more for one whose code both of
-# the first scales give, for one at a scale larger or smaller than the first, and so much times the
-# logarithm of the weakest response along its lines. Fitted to 840 drawn photos of both looks, of
-# diagrams that no network was trained on (docs/photos.md).
-_ANY, _CONFIRMED, _LARGER, _SMALLER, _RESPONSE = 0.85, 4.55, 0.97, -3.3, 3.4
+# Logarithm of the odds that a reading is right: so much for any, for one whose code both of the
+# first scales give, for one at a scale larger than the first, for one at a smaller scale or confirmed by
+# one, for each crossing, and so much times the logarithm of the weakest response along its lines.
+# Fitted to 840 drawn photos of both looks, of diagrams that no network was trained on.
+_ANY, _CONFIRMED, _LARGER, _SMALLER, _EACH, _RESPONSE = 1.0, 4.55, 0.97, -3.3, -0.1, 3.4
 _FAIR = 0.5  # chance at which no smaller scale is looked at
 _LOOP = 6.0  # length of the smallest loop, cells
 _TIP = 2.5  # points at a loose end, where a crossing is the end lying on a strand
@@ -170,12 +170,13 @@ class _Look(NamedTuple):
     weakest: Array
     scale: float
 
-    def chance(self, confirmed: bool, weakest: float) -> float:
-        """The chance that the reading is right."""
+    def chance(self, weakest: float, confirmed: bool, late: bool) -> float:
+        """The chance that the reading is right, which another scale may confirm, early or late."""
         if not self.reading.ropes:
             return _NOTHING
-        odds = _ANY + _CONFIRMED * confirmed + _RESPONSE * np.log(max(weakest, _LEAST))
-        odds += _LARGER if self.scale > 1 else _SMALLER if self.scale < 1 else 0.0
+        odds = _ANY + _CONFIRMED * confirmed + _EACH * self.reading.crossings
+        odds += _RESPONSE * np.log(max(weakest, _LEAST))
+        odds += _SMALLER if self.scale < 1 or late else _LARGER if self.scale > 1 else 0.0
         return float(1 / (1 + np.exp(-odds)))
 
 
@@ -197,25 +198,23 @@ def _best(looks: Sequence[_Look]) -> tuple[PhotoReading, float]:
     Returns:
         The reading, and the chance that it is right.
     """
-    confirmed = len(looks) > 1 and _agree(looks[0].reading, looks[1].reading)
+    pairs = ((i, j) for j in range(len(looks)) for i in range(j))
+    both = next((one for one in pairs if _agree(*(looks[k].reading for k in one))), ())
+    late = both not in ((), (0, 1))
     chances = [
-        one.chance(confirmed and k < 2, one.weakest.min(initial=1.0)) for k, one in enumerate(looks)
+        one.chance(one.weakest.min(initial=1.0), k in both, late and k in both)
+        for k, one in enumerate(looks)
     ]
     best = int(np.argmax(chances))
-    look, reading, chance = looks[best], looks[best].reading, chances[best]
+    look, reading, chance, confirmed = looks[best], looks[best].reading, chances[best], best in both
     # an unsure vote for an upper strand makes its ropes unsure
-    own = (
-        [[abs(visit) - 1 for visit in walk] for walk in reading.code.visits] if reading.code else []
-    )
-    ropes = tuple(
-        replace(rope, confidence=round(look.chance(confirmed, weakest) * votes, 3))
-        for rope, weakest, votes in zip(
-            reading.ropes,
-            look.weakest.tolist(),
-            [0.5 + 0.5 * float(reading.votes[rows].min(initial=1.0)) for rows in own],
-            strict=True,
-        )
-    )
+    ropes = list[Rope]()
+    for rope, walk, weakest in zip(
+        reading.ropes, reading.code.visits if reading.code else (), look.weakest, strict=True
+    ):
+        told = 0.5 + 0.5 * reading.votes[[abs(visit) - 1 for visit in walk]].min(initial=1.0)
+        sure = look.chance(weakest, confirmed, late and confirmed) * float(told)
+        ropes.append(replace(rope, confidence=round(sure, 3)))
     confidence = min((one.confidence for one in ropes), default=0.0)
     others = [
         other for one, other in zip(looks, chances, strict=True)
@@ -224,7 +223,7 @@ def _best(looks: Sequence[_Look]) -> tuple[PhotoReading, float]:
     if reading.closed and others and not confirmed:
         reason = f"two readings, {chance:.1f} and {max(others):.1f}"
         return PhotoReading(confidence=confidence, reason=reason), chance
-    return replace(reading, ropes=ropes, confidence=confidence), chance
+    return replace(reading, ropes=tuple(ropes), confidence=confidence), chance
 
 
 @contextmanager
