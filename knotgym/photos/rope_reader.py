@@ -34,9 +34,9 @@ VIEWS = 8  # mirror images and quarter turns of a picture
 _SCALES = (1.0, 1.5, 0.8, 0.65, 0.5)  # of the picture's longer side; larger for thin ropes
 _FEW = 2  # views at scales that are only looked at
 # Logarithm of the odds that a reading is right: so much for any, for one whose code both of the
-# first scales give, for one at a scale larger than the first, for one at a smaller scale or confirmed by
-# one, for each crossing, and so much times the logarithm of the weakest response along its lines.
-# Fitted to 840 drawn photos of both looks, of diagrams that no network was trained on.
+# first scales give, for one at a scale larger than the first, for one at a smaller scale or
+# confirmed by one, for each crossing, and so much times the logarithm of the weakest response along
+# its lines. Fitted to 840 drawn photos of both looks, of diagrams that no network was trained on.
 _ANY, _CONFIRMED, _LARGER, _SMALLER, _EACH, _RESPONSE = 1.0, 4.55, 0.97, -3.3, -0.1, 3.4
 _FAIR = 0.5  # chance at which no smaller scale is looked at
 _LOOP = 6.0  # length of the smallest loop, cells
