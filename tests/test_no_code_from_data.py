@@ -17,6 +17,7 @@ IMPORTS = {
     "control/policy_config.py": "the table of policies of its room, named in the code",
     "datasets/exports/__init__.py": "functions of its table, named in the code",
     "generate/generate_config.py": "its recipe, named in the code",
+    "learn/learners.py": "classes of its table, named in the code",
     "prompting/chat.py": "the HTTP library of the client that is installed",
     "rope/engines.py": "simulations and kernels of engines, named in the code",
     "states/sources.py": "recipes of sources, named in the code; a file names a source, not code",
