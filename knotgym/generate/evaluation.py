@@ -170,11 +170,9 @@ def evaluate(
         results, played, films = yield from _evaluation(config, filmed, record is not None)
         # before the output, which says that all is done
         if video is not None:
-            tasks, rows = (
-                (task for _, task in config.setups()),
-                sum(one.steps.rows for one in films),
-            )
-            Counts.tell("drawing the film", Counts.from_now(), rows)
+            tasks = (task for _, task in config.setups())
+            steps = sum(one.steps.rows for one in films)
+            Counts.tell("drawing the film", Counts.from_now(), steps)
             frames = [*chain.from_iterable(map(film, films, tasks))]
             with atomic_write(video, overwrite=options.overwrite) as temporary:
                 rendering.Film(temporary).write(frames)

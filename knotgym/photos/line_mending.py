@@ -232,13 +232,15 @@ def _bend(first: Array, last: Array, middle: Array) -> float:
     return float(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def _meet(a: Array, b: Array, c: Array, d: Array) -> bool:
-    """Tell whether the segment from a to b crosses that from c to d."""
+def _meet(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.bool_]:
+    """Tell whether segments from a to b cross those from c to d: places (..., 2), broadcast."""
 
-    def side(p: Array, q: Array, r: Array) -> float:
-        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
+    def side(p: Array, q: Array, r: Array) -> Array:
+        (x, y), (u, v) = np.moveaxis(q - p, -1, 0), np.moveaxis(r - p, -1, 0)
+        return np.asarray(x * v - y * u)
 
-    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0
+    one = side(a, b, c) * side(a, b, d) < 0
+    return np.asarray(one & (side(c, d, a) * side(c, d, b) < 0))
 
 
 def _end_at(lines: list[Line], place: Array) -> tuple[int, int]:
@@ -306,16 +308,10 @@ def _joined(lines: list[Line], response: NDArray[np.float32], frame: Array) -> l
 
 def _is_under(lines: list[Line], at: Array, there: Array) -> bool:
     """Tell whether a line passes between two places and near both."""
-
-    def sides(first: Array, last: Array, places: Array) -> Array:
-        return np.linalg.det(np.stack(np.broadcast_arrays(last - first, places - first), axis=-2))
-
     for points, closed in lines:
         first, last = (points, np.roll(points, -1, 0)) if closed else (points[:-1], points[1:])
-        crossed = sides(at, there, first) * sides(at, there, last) < 0
-        crossed &= sides(first, last, at) * sides(first, last, there) < 0
         near = [np.hypot(*(points - one).T).min() < _COVERED for one in (at, there)]
-        if crossed.any() and all(near):
+        if all(near) and _meet(at, there, first, last).any():
             return True
     return False
 

@@ -42,8 +42,8 @@ _ROUNDS = 20  # times that short chains are dropped, at most
 _SWERVE = 3.0  # cost of a link that doesn't point in the direction of both ends: share per radian^2
 _WHOLE = 0.92  # share of the points at which closed lines are taken for all that there is
 _LOOSE = 4  # points; a shorter chain is dropped while points are linked
-# Points: a shorter line is no rope, nor one whose response is weaker; at the edge of the picture,
-# where little of a rope may be seen, and elsewhere. Longer ones than the last are ropes.
+# points of the shortest rope, at the edge of the picture, where little of one may be seen, and
+# elsewhere; a line of fewer than _BRIEF is a rope only if its mean response is no weaker
 _STUB, _SHORT, _BRIEF, _WEAK = 4, 8, 24, 0.6
 _CROWDED = 3200  # points; more aren't a rope's
 
@@ -65,9 +65,7 @@ def lines_in(fields: NDArray[np.float32], frame: Array) -> list[Line]:
     for loose in (False, True):
         partner, paid = _link(points, response, frame, loose)
         _exchange(points, partner, paid)
-        chains = [
-            Line(points[own, :2], closed) for own, closed in _chains(partner) if len(own) >= _STUB
-        ]
+        chains = [one for one in _chains(points, partner) if len(one.points) >= _STUB]
         if sum(len(one.points) for one in chains if one.closed) >= _WHOLE * len(points):
             break
     lines = [one for one in chains if _is_rope(one, response, frame)]
@@ -317,11 +315,11 @@ def _follow(partner: Ids) -> tuple[Ids, Ids]:
     return order[:m], stops[:chains]
 
 
-def _chains(partner: Ids) -> list[tuple[Ids, bool]]:
-    """Return the points of each chain, and whether it is closed."""
+def _chains(points: Array, partner: Ids) -> list[Line]:
+    """Return the chains of linked points."""
     order, stops = _follow(partner)
-    parts = np.split(order, np.abs(stops)[:-1])
-    return [(own, stop < 0) for own, stop in zip(parts, stops.tolist(), strict=False)]
+    parts = np.split(points[order, :2], np.abs(stops)[:-1])
+    return [Line(own, stop < 0) for own, stop in zip(parts, stops.tolist(), strict=False)]
 
 
 @inner

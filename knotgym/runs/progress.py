@@ -100,8 +100,7 @@ class Progress:
             if not (self._lines or self._waits):
                 self._recount()
             elif (silent := self._clock() - self._told) >= _LINE_EVERY:
-                ends = self._ends or self._clock()  # a stage without an estimate is told each time
-                is_over = self._told < ends <= self._clock()
+                is_over = self._ends is None or self._told < self._ends <= self._clock()
                 if self._done or is_over or silent >= 3 * _LINE_EVERY:
                     self._tell(self._line())
 
