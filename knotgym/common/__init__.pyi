@@ -1,5 +1,6 @@
 from .atomic_files import atomic_write as atomic_write
 from .atomic_files import code_sha256 as code_sha256
+from .atomic_files import list_files as list_files
 from .atomic_files import move_into_place as move_into_place
 from .atomic_files import remove as remove
 from .atomic_files import require_apart as require_apart

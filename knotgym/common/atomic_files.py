@@ -8,28 +8,22 @@ it points to, and it is the link that gets replaced, never its target.
 import errno
 import glob
 import hashlib
+import json
 import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from fnmatch import fnmatchcase
 from functools import cache
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 from knotgym.common.configurations import read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, Occupied
 
-# what identifies a folder as an output of this package, so that --overwrite may replace it
-_MARKS = (
-    "manifest.json policy.json CITATION.cff page.html result.json data/episodes.h5 *.h5".split()
-)
-_BESIDE = (
-    "README.md gallery.png minari data croissant.json namespace_metadata.json weights.safetensors"
-    " curve.csv training.csv curve.png transcripts.jsonl reset.png expert.gif expert.mp4"
-).split()
+_MANIFEST = "manifest.json"  # lists the files of a folder, by which an output of ours is known
 # what a rename meets where another process was faster
 _TAKEN = errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR, errno.ENOENT
 
@@ -43,8 +37,8 @@ def require_output(
 ) -> None:
     """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
-    Only a regular file, a link, an empty folder or a folder that is an output of this package is
-    ever replaced, and neither a file nor a folder replaces the other.
+    Only a regular file, a link, an empty folder or a folder all of whose files its manifest lists
+    is ever replaced, and neither a file nor a folder replaces the other.
 
     Args:
         path: path of the output.
@@ -91,36 +85,33 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
     elif folder and Path.cwd().is_relative_to(target.resolve()):
         why = "contains the current folder"
     elif folder and (foreign := _foreign(target)):
-        why = f"isn't replaced, because {foreign} in it isn't an output of this package"
+        why = f"isn't replaced, because no manifest.json in it lists {foreign}"
     if why:
         raise Occupied(f"{target} {why}; choose another --out")
 
 
-def _foreign(folder: Path, listed: Collection[Path] | None = None) -> str:
-    """Return the name of an entry of a folder that this package doesn't write there, or "".
-
-    Args:
-        folder: an output, or a folder in one.
-        listed: files of the output by its manifest; None to read that.
-    """
-    if listed is None:
-        listed = {folder / name for name in _listed(folder / "manifest.json")}
-    entries = sorted(folder.iterdir())
-    marks = [mark for mark in _MARKS if any(folder.glob(mark))]
-    known = [*marks, *_BESIDE] if marks else []
-    for entry in entries:
-        is_known = entry in listed or any(fnmatchcase(entry.name, one) for one in known)
-        inside = entry.is_dir() and not entry.is_symlink() and any(entry.iterdir())
-        if not is_known and (not inside or _foreign(entry, listed)):
-            return entry.name
+def _foreign(folder: Path) -> str:
+    """Return the name of an entry of a folder that its manifest doesn't list, or ""."""
+    try:
+        names = [_MANIFEST, *read_json(folder / _MANIFEST)["files"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        names = []
+    listed = {folder / name for name in names}
+    for path in sorted(folder.rglob("*")):
+        holds = path.is_dir() and not path.is_symlink() and any(path.iterdir())
+        if path not in listed and not holds:
+            return path.relative_to(folder).parts[0]
     return ""
 
 
-def _listed(manifest: Path) -> list[str]:
-    try:
-        return [*read_json(manifest)["files"]]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
+def list_files(folder: Path, facts: Mapping[str, Any] | None = None) -> None:
+    """Write a folder's manifest: facts, and the SHA-256 of every other file in it."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    names = {path.relative_to(folder).as_posix(): path for path in paths}
+    listed = {name: sha256(path) for name, path in names.items() if name != _MANIFEST}
+    with atomic_write(folder / _MANIFEST) as part:
+        content = json.dumps({**(facts or {}), "files": listed}, indent=1, sort_keys=True)
+        part.write_text(content, encoding="utf-8")
 
 
 def _require_writable(target: Path) -> None:
@@ -166,11 +157,15 @@ def atomic_write(
 def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
     """Rename a finished file or folder to `target`, on the same file system.
 
+    A folder without a manifest gets one, which lists its files, so that it is known as an output.
+
     Without `overwrite` nothing is replaced, not even what another process has put there in the
     meantime: that raises Occupied. With it, an old folder steps aside and is removed once the new
     one is in its place; `require_output` puts it back where a kill came between the two steps.
     """
     is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises if nothing was written
+    if is_folder and not (part / _MANIFEST).exists():
+        list_files(part)
     _require_free(target, is_folder, overwrite)
     try:
         if overwrite and is_folder and os.path.lexists(target):

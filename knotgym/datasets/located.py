@@ -134,7 +134,8 @@ def _located(root: Path) -> Located | None:
     if root.is_file():
         is_episodes = format_of(root) == FORMAT
         return Located(root, episodes=(root,)) if is_episodes else Located(root, states=root)
-    if any((root / name).is_file() for name in ("states.h5", "manifest.json")):
+    listed = read_manifest(root)[0].get("files", {}) if root.is_dir() else {}
+    if (root / "states.h5").is_file() or "states.h5" in listed:
         return Located(root, resolve_states(root), datasets_below(root / "minari"))
     datasets = datasets_below(root)
     return Located(root, episodes=datasets) if datasets else None

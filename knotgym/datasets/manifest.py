@@ -1,6 +1,5 @@
 """The manifest of a run's folder: what was asked for, what the run reports, and checksums."""
 
-import json
 import platform
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePath
@@ -9,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
-from knotgym.common import InvalidInput, atomic_write, one_line, read_json, sha256
+from knotgym.common import InvalidInput, list_files, one_line, read_json, sha256
 
 
 def _inside(name: str) -> str:
@@ -35,7 +34,7 @@ class _Report(BaseModel, extra="allow"):
 
 
 class _Manifest(BaseModel, extra="allow"):
-    config: dict[str, Any]
+    config: dict[str, Any] = {}
     files: dict[_File, str]
     report: _Report = _Report()
 
@@ -66,21 +65,8 @@ def write_manifest(
         request: what was asked for: configuration, sources, versions.
         report: the run's counts.
     """
-    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-    manifest = {
-        "format": format,
-        "format_version": 1,
-        **request,
-        "report": report,
-        "machines": [machine()],
-        "files": {
-            path.relative_to(folder).as_posix(): sha256(path)
-            for path in paths
-            if path.name != "manifest.json"
-        },
-    }
-    with atomic_write(folder / "manifest.json") as temporary:
-        temporary.write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
+    facts = {"format": format, "format_version": 1, **request, "report": report}
+    list_files(folder, {**facts, "machines": [machine()]})
 
 
 def machine() -> dict[str, str]:

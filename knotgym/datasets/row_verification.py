@@ -116,19 +116,24 @@ def _state_faults(states: States) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
+def _manifest_faults(folder: Path) -> Iterator[str]:
+    """Yield the faults of a folder's manifest, and files that aren't what it lists."""
+    manifest, faults = read_manifest(folder)
+    yield from (*faults, *listed_faults(folder, manifest))
+
+
 def _folder_faults(folder: Path, replay: Replay, sample: int = 0) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
     """
-    manifest, faults = read_manifest(folder)
     try:
         states = read_states(folder / "states.h5")
     except (InvalidFile, MissingFile) as error:
-        yield from (*faults, *listed_faults(folder, manifest), str(error))
+        yield from (*_manifest_faults(folder), str(error))
         return
-    yield from faults if states.source else ()
-    yield from listed_faults(folder, manifest)
+    if states.source or (folder / "manifest.json").exists():
+        yield from _manifest_faults(folder)
     yield from _state_faults(states)
     for file in sorted(folder.glob(f"minari/**/{FILE}")):
         faults_here = [*episode_faults(file, replay, sample=sample)]
@@ -315,8 +320,7 @@ def _image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
     folder = Path(path)
     image_table.arrow()
     if folder.is_dir():
-        manifest, faults = read_manifest(folder)
-        yield from [*faults, *listed_faults(folder, manifest)]
+        yield from _manifest_faults(folder)
     files = image_table.shards(path)
     parts, told = list[Any](), each(_shard_faults, files)
     for faults, part in Counts.over(told, "files of pictures", len(files)):
@@ -437,8 +441,13 @@ def faults(located: Located, replay: Replay, each: Map = map, sample: int = 0) -
     elif located.states:
         every = _state_faults(read_states(located.states))
     else:
+        folders = [
+            one for one in {located.root, *located.episodes} if (one / "manifest.json").is_file()
+        ]
         verified = partial(episode_faults, replay=replay, sample=sample)
-        every = chain.from_iterable(map(verified, located.episodes))
+        every = chain.from_iterable(
+            [*map(_manifest_faults, sorted(folders)), *map(verified, located.episodes)]
+        )
     kinds = set[type]()
     for fault in every:
         kinds.add(type(fault))

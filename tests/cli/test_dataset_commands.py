@@ -39,7 +39,7 @@ def minari_root(collected: Path, monkeypatch: Patch) -> None:
         ("show", ID, ID),
         ("show", STATES, "8 states"),
         ("show", "{root}/" + ID, "episodes"),
-        ("verify", ID, "6 episodes, 102 steps replayed: no faults\n"),
+        ("verify", ID, "6 episodes, 102 steps replayed, 3 checksums: no faults\n"),
         ("verify", STATES, "8 Gauss codes: no faults\n"),
     ],
 )

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from pytest_types import Capture, Patch
 
+from knotgym.common import list_files
 from knotgym.runs import RunOptions, staged
 
 from ..small_job import knotgym, staging_of
@@ -194,7 +195,7 @@ def test_overwrite_replaces_sets_not_folders(typed: Type, tmp_path: Path, capfd:
     assert typed("collect", *words) == 2 and (path / "file").is_file()
     shutil.rmtree(path)
     assert typed("collect", *words) == 0 and typed("collect", *words) == 0
-    assert [one.name for one in path.iterdir()] == ["data"]
+    assert {one.name for one in path.iterdir()} == {"data", "manifest.json"}
 
 
 SOURCES = {
@@ -228,6 +229,7 @@ def test_a_source_is_never_replaced_not_even_with_overwrite(
         places[kind] = tmp_path / f"a.{kind}"
         shutil.copy(states_path, places[kind])
     shutil.copy(states_path, places["h5"])
+    list_files(root / ID)
     places["json"].write_text("{}")
     places["codes"].write_text("1+,1-\n")
     np.save(places["npy"], np.zeros((8, 3)))

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from knotgym.common.atomic_files import atomic_write, remove, require_output, sha256
+from knotgym.common.configurations import read_json
 from knotgym.common.errors import KnotgymError, Occupied
 
 
@@ -67,10 +68,12 @@ def test_an_output_is_replaced_whole_and_only_if_asked(tmp_path: Path) -> None:
             refused = pytest.raises(Occupied) if text == "kept" else nullcontext()
             with refused, atomic_write(target, overwrite=text == "new") as part:
                 if folder:
-                    (part / "minari" / text).mkdir(parents=True)
-                (part / "manifest.json" if folder else part).write_text(text)
-        assert (target / "manifest.json" if folder else target).read_text() == "new"
-    assert [path.name for path in (tmp_path / "True/minari").iterdir()] == ["new"]
+                    (part / "data" / text).mkdir(parents=True)
+                (part / "data" / text / "a.txt" if folder else part).write_text(text)
+        assert (target / "data/new/a.txt" if folder else target).read_text() == "new"
+    assert [path.name for path in (tmp_path / "True/data").iterdir()] == ["new"]
+    (listed,) = read_json(tmp_path / "True/manifest.json")["files"]
+    assert listed == "data/new/a.txt"
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -106,6 +109,7 @@ def make(kind: str, target: Path) -> None:
         (target / kind).mkdir(parents=True)
         if kind == "thesis":  # a folder of the user's, with an output of ours among others
             (target / "states.h5").touch()
+            (target / "manifest.json").write_text('{"files": {"states.h5": ""}}')
 
 
 @pytest.mark.parametrize(
@@ -115,8 +119,8 @@ def make(kind: str, target: Path) -> None:
         ("file", True, "never replaces a file"),
         ("unrelated", False, "never replaces a folder"),
         ("", False, "never replaces a folder"),
-        ("unrelated", True, "unrelated in it isn't an output of this package"),
-        ("thesis", True, "isn't replaced, because thesis in it"),
+        ("unrelated", True, "no manifest.json in it lists unrelated"),
+        ("thesis", True, "isn't replaced, because .* lists thesis"),
     ],
 )
 def test_only_an_output_is_replaced(tmp_path: Path, kind: str, folder: bool, message: str) -> None:

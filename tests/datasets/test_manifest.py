@@ -145,6 +145,6 @@ def test_a_file_of_a_states_folder_and_a_field_of_its_manifest(
         assert typed(*again) == 0 and (folder / "notes.txt").is_file()
     assert read_manifest(folder)[0]["report"]["spent"] == 7 and knotgym.verify(folder) == []
     (folder / "mine.txt").touch()
-    assert typed(*again) == 2 and "because mine.txt in it isn't" in capsys.readouterr().err
+    assert typed(*again) == 2 and "lists mine.txt;" in capsys.readouterr().err
     (folder / "notes.txt").unlink()
     assert any("notes.txt is missing" in fault for fault in knotgym.verify(folder))

@@ -157,7 +157,7 @@ def test_an_export_is_known_again_and_replaced(form: str, folder: Path, tmp_path
     for overwrite in (False, True):
         export(str(folder), tmp_path / "out", form, replay, overwrite=overwrite)
     (tmp_path / "out/mine.tar").touch()
-    with pytest.raises(Occupied, match="mine.tar in it isn't an output of this package"):
+    with pytest.raises(Occupied, match="no manifest.json in it lists mine.tar"):
         export(str(folder), tmp_path / "out", form, replay, overwrite=True)
 
 

@@ -30,7 +30,6 @@ def toy(place: Path) -> Recipe[str]:
     scale = float(sum(part["x"].sum() for part in parts))
     more = yield [Call(f"more {number}", drawn, (1, number, scale)) for number in range(5)]
     place.mkdir()
-    (place / "manifest.json").write_text("{}")
     (place / "x.h5").write_bytes(b"".join(part["x"].tobytes() for part in [*parts, *more]))
     return f"{len(parts)} parts"
 

@@ -133,7 +133,6 @@ def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: boo
         Occupied: the output exists, and `overwrite` is False.
     """
     from knotgym.datasets.located import locate
-    from knotgym.datasets.manifest import write_manifest
     from knotgym.datasets.minari_form import require_file
 
     if form not in EXPORTS:
@@ -154,9 +153,4 @@ def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: boo
     with atomic_write(out, overwrite=overwrite) as target:
         if not is_file:
             target.mkdir()
-        said = write(given, target, replay)
-        if chosen.output == "folder" and not any(target.rglob("CITATION.cff")):
-            write_manifest(
-                target, "knotgym-export", {"config": {}}, {}
-            )  # by which we know it again
-        return said
+        return write(given, target, replay)
