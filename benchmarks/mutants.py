@@ -1,14 +1,14 @@
-"""How many small faults the tests find: mutants of a room's code, run against the room's tests.
+"""How many small faults the tests find: mutants of a room's code, run against the tests.
 
     python benchmarks/mutants.py topology states datasets loaders --count 100 --out mutants.json
 
 A mutant differs from the code in one place, drawn from the seed: a comparison turned round or by
 its edge, + for -, * for /, `and` for `or`, a condition denied, a whole number one more. It is
 killed if a test fails, or if the tests take --limit CPU seconds. Each runs in a copy of the
-checkout; first the test file named as the module, if there is one, then the others of the room.
-Survivors are listed: each is a test that is missing, or code that means the same. With --out each
-mutant is written down at once; the same command goes on where it was stopped, and a larger --count
-adds more.
+checkout; first the test file named as the module, if there is one, then the tests of the room, then
+all others of a default run. Survivors are listed with what was changed: each is a test that is
+missing, or code that means the same. With --out each mutant is written down at once; the same
+command goes on where it was stopped, and a larger --count adds more.
 """
 
 import ast
@@ -78,25 +78,27 @@ def changes(node: ast.AST) -> Iterator[Callable[[Any], None]]:
         yield count_on
 
 
-def mutants(path: Path) -> list[Callable[[], tuple[int, str]]]:
-    """Return the mutants of a file: what gives a line, and the text of the whole file."""
+def mutants(path: Path) -> list[Callable[[], tuple[str, str]]]:
+    """Return the mutants of a file: what says line and change, and gives the text of the file."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
 
-    def mutant(place: int, change: Callable[[Any], None]) -> tuple[int, str]:
+    def mutant(place: int, change: Callable[[Any], None]) -> tuple[str, str]:
         other = copy.deepcopy(tree)
-        own: Any = next(one for k, one in enumerate(ast.walk(other)) if k == place)
-        change(own)
-        return own.lineno, ast.unparse(ast.fix_missing_locations(other))
+        node: Any = next(node for k, node in enumerate(ast.walk(other)) if k == place)
+        before = ast.unparse(node).splitlines()[0]
+        change(node)
+        said = f"{node.lineno}: {before} -> {ast.unparse(node).splitlines()[0]}"
+        return said, ast.unparse(ast.fix_missing_locations(other))
 
     nodes = enumerate(ast.walk(tree))
     return [partial(mutant, place, change) for place, node in nodes for change in changes(node)]
 
 
 def is_killed(copied: Path, module: Path, limit: int) -> bool:
-    """Return whether a test of a module's room fails in a copy of the checkout."""
-    room = Path("tests", *module.parts[1:-1])
-    own = [path for path in copied.glob("tests/**/test_*.py") if path.stem == f"test_{module.stem}"]
-    for words in ([str(one) for one in own], [str(room)]):
+    """Return whether a test fails in a copy of the checkout: a module's, a room's, any."""
+    room = str(Path("tests", *module.parts[1:-1]))
+    named = [str(path) for path in copied.glob(f"tests/**/test_{module.stem}.py")]
+    for words in (named, [room], ["tests", f"--ignore={room}"]):
         if words and (copied / words[0]).exists():
             run = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *words]
             own_limit = partial(resource.setrlimit, resource.RLIMIT_CPU, (limit, limit))
@@ -115,7 +117,7 @@ def main() -> None:
     parser.add_argument("rooms", nargs="+", help="rooms of the package, such as topology")
     parser.add_argument("--count", type=int, default=100, help="mutants, as many of each room")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--limit", type=int, default=300, help="CPU seconds of a run of the tests")
+    parser.add_argument("--limit", type=int, default=900, help="CPU seconds of a run of the tests")
     parser.add_argument("--out", type=Path, help="where to write the result as JSON")
     asked, result = parser.parse_args(), dict[str, Any]()
     if asked.out and asked.out.exists():
@@ -131,19 +133,19 @@ def main() -> None:
             own = result.setdefault(room, {"killed": 0, "survivors": []})
             before = own["killed"] + len(own["survivors"])
             for number in range(-(-asked.count // len(asked.rooms))):
-                found = list[Callable[[], tuple[int, str]]]()
+                found = list[Callable[[], tuple[str, str]]]()
                 while not found:
                     path = files[rng.choice(len(files), p=sizes / sizes.sum())]
                     found = mutants(path)
                 module, chosen = path.relative_to(ROOT), found[rng.integers(len(found))]
                 if number < before:
                     continue
-                line, text = chosen()
+                said, text = chosen()
                 (copied / module).write_text(text, encoding="utf-8")
                 if is_killed(copied, module, asked.limit):
                     own["killed"] += 1
                 else:
-                    own["survivors"].append(f"{module}:{line}")
+                    own["survivors"].append(f"{module}:{said}")
                 shutil.copy(path, copied / module)
                 print(f"{room}: {own['killed']} killed, alive {own['survivors']}", flush=True)
                 if asked.out:
