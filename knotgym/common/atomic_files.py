@@ -53,8 +53,8 @@ def require_output(
     target = Path(path)
     for source in reads:
         # a link at the end of the path is replaced itself, so it is where it lies
-        found, wanted = Path(source).resolve(), target.parent.resolve() / target.name
-        if wanted.is_relative_to(found) or found.is_relative_to(wanted):
+        made_from, wanted = Path(source).resolve(), target.parent.resolve() / target.name
+        if wanted.is_relative_to(made_from) or made_from.is_relative_to(wanted):
             raise Occupied(f"{path} is, contains or is in its source {source}; choose another")
     _put_back(target)
     _require_free(target, folder, overwrite)
@@ -63,7 +63,7 @@ def require_output(
 
 def require_apart(*outputs: Path | None) -> None:
     """Raise Occupied if two of a command's outputs are one, or one lies in another."""
-    wanted = [(one, one.parent.resolve() / one.name) for one in outputs if one is not None]
+    wanted = [(path, path.parent.resolve() / path.name) for path in outputs if path is not None]
     for (one, place), (other, other_place) in permutations(wanted, 2):
         if place.is_relative_to(other_place):
             raise Occupied(f"{one} and {other} are two outputs of one command; name them apart")
@@ -78,8 +78,8 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         return
     why = ""
     if target.is_dir() != folder:
-        found, wanted = ("file", "folder") if folder else ("folder", "file")
-        why = f"is a {found}, and a {wanted} never replaces a {found}"
+        there, wanted = ("file", "folder") if folder else ("folder", "file")
+        why = f"is a {there}, and a {wanted} never replaces a {there}"
     elif not folder and not target.is_file():
         why = "is a device or a pipe, which is never replaced"
     elif folder and Path.cwd().is_relative_to(target.resolve()):
@@ -248,12 +248,12 @@ def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:
     Somebody else may have planted it in a shared folder.
     """
     try:
-        found = os.lstat(path)
+        status = os.lstat(path)
     except (FileNotFoundError, NotADirectoryError):
         return
-    if stat.S_ISLNK(found.st_mode):
+    if stat.S_ISLNK(status.st_mode):
         raise error(f"{path} is a link, and is never followed here; remove it")
-    if found.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         raise error(f"{path} belongs to another user; remove it")
 
 

@@ -66,8 +66,8 @@ def _machine_code() -> Path:
             folder.parent.mkdir(parents=True, exist_ok=True)
             folder.mkdir(0o700, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
-            found = folder.stat()
-            if os.name == "nt" or (found.st_uid == os.geteuid() and not found.st_mode & 0o022):
+            status = folder.stat()
+            if os.name == "nt" or (status.st_uid == os.geteuid() and not status.st_mode & 0o022):
                 return folder
     folder = Path(tempfile.mkdtemp(prefix="knotgym-numba-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -181,16 +181,16 @@ class Threads:
         microseconds that may be used in a period. Of a fraction of a core the whole is counted.
         """
         affine = hasattr(os, "sched_getaffinity")
-        found = [len(os.sched_getaffinity(0)) if affine else os.cpu_count() or 1]
+        counts = [len(os.sched_getaffinity(0)) if affine else os.cpu_count() or 1]
         with suppress(OSError, ValueError):
-            own = Path("/proc/self/cgroup").read_text().partition("0::/")[2].partition("\n")[0]
-            for group in (_CGROUPS / own, *(_CGROUPS / own).parents):
+            named = Path("/proc/self/cgroup").read_text().partition("0::/")[2].partition("\n")[0]
+            for group in (_CGROUPS / named, *(_CGROUPS / named).parents):
                 with suppress(OSError, ValueError):  # "max 100000" is no limit
                     quota, period = map(int, (group / "cpu.max").read_text().split())
-                    found.append(max(1, -(-quota // period)))
+                    counts.append(max(1, -(-quota // period)))
                 if group == _CGROUPS:
                     break
-        return min(found)
+        return min(counts)
 
     def spread(
         self,
@@ -239,11 +239,11 @@ class Threads:
                     begun.get()
                 meanwhile()
         finally:
-            own = [partial(_do, 0)] if parts else []
-            while own:
-                own.pop()()
+            calls = [partial(_do, 0)] if parts else []
+            while calls:
+                calls.pop()()
                 with suppress(Empty):
-                    own.append(self._tasks.get_nowait())
+                    calls.append(self._tasks.get_nowait())
             for _ in parts:
                 done.get()
         if errors:

@@ -74,20 +74,24 @@ class Mark(NamedTuple):
             path: what comes before the names of the fields.
         """
         hints = get_type_hints(kind, include_extras=True)
-        for name, hint in ((one.name, hints[one.name]) for one in dataclasses.fields(kind)):
+        for name, hint in ((field.name, hints[field.name]) for field in dataclasses.fields(kind)):
             own = values.get(name) if isinstance(values, Mapping) else getattr(values, name, None)
-            for one in _members(hint):
-                if isinstance(one, Mark) and one.word == word and one.applies(own):
+            for member in _members(hint):
+                if isinstance(member, Mark) and member.word == word and member.applies(own):
                     yield f"{path}{name}", values, own
-                if dataclasses.is_dataclass(one) and isinstance(one, type) and own is not None:
+                if (
+                    dataclasses.is_dataclass(member)
+                    and isinstance(member, type)
+                    and own is not None
+                ):
                     for each in own if isinstance(own, (list, tuple)) else [own]:
-                        yield from Mark.fields(one, each, word, f"{path}{name}.")
+                        yield from Mark.fields(member, each, word, f"{path}{name}.")
 
     @staticmethod
     def values(config: Any, *words: str) -> dict[str, Any]:
         """Return the fields of a configuration with one of the marks: path -> value."""
         each = (Mark.fields(type(config), config, word) for word in words)
-        return {path: own for found in each for path, _, own in found}
+        return {path: value for marked in each for path, _, value in marked}
 
 
 _MOST_JSON = 256 << 20  # largest JSON file that is read, bytes
@@ -124,7 +128,7 @@ def python_values(value: Any, lists: type = list) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         return python_values(value.tolist(), lists)
     if isinstance(value, dict):
-        return {python_values(key): python_values(one, lists) for key, one in value.items()}
+        return {python_values(key): python_values(item, lists) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return (lists if isinstance(value, list) else tuple)(python_values(v, lists) for v in value)
     return value
@@ -132,9 +136,9 @@ def python_values(value: Any, lists: type = list) -> Any:
 
 def _of_name(hint: Any, value: Any) -> Any:
     """Replace names, alone or in a tuple, where a configuration with NAMED_BY is wanted."""
-    kind = next((one for one in _members(hint) if hasattr(one, "NAMED_BY")), None)
+    kind = next((member for member in _members(hint) if hasattr(member, "NAMED_BY")), None)
     if kind and isinstance(value, tuple):
-        return tuple(_of_name(kind, one) for one in value)
+        return tuple(_of_name(kind, item) for item in value)
     return kind(**{kind.NAMED_BY: value}) if kind and isinstance(value, str) else value
 
 
@@ -196,14 +200,14 @@ class Kinds(dict[str, Record], Generic[Record]):
 
 def choices(hint: Any) -> list[str]:
     """Return the words that a field may be or hold, as its annotation says; none if any may."""
-    found = list[str]()
-    for one in _members(hint):
-        checked = getattr(one, "func", None)
+    words = list[str]()
+    for member in _members(hint):
+        checked = getattr(member, "func", None)
         if isinstance(checked, _Choice):
-            found += [*checked.known, *checked.growing]
-        elif get_origin(one) is Literal:
-            found += [word for word in get_args(one) if isinstance(word, str)]
-    return [word for word in dict.fromkeys(found) if word]
+            words += [*checked.known, *checked.growing]
+        elif get_origin(member) is Literal:
+            words += [word for word in get_args(member) if isinstance(word, str)]
+    return [word for word in dict.fromkeys(words) if word]
 
 
 Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]  # stored as int64
@@ -241,8 +245,8 @@ def configuration(cls: type[Config]) -> type[Config]:
 
 def as_json(config: Any) -> dict[str, Any]:
     """Convert a configuration to JSON: nested dicts, with lists for tuples."""
-    found: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
-    return found
+    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+    return values
 
 
 def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
@@ -304,7 +308,7 @@ def _refuse(error: ValidationError, kind: type) -> NoReturn:
     given = repr(first["input"])
     given = given if len(given) <= _SHOWN else f"{given[: _SHOWN - 3]}..."
     # the members of a union each have a problem
-    every = [one for one in problems if one["loc"][: len(path)] == first["loc"][: len(path)]]
+    every = [fault for fault in problems if fault["loc"][: len(path)] == first["loc"][: len(path)]]
     problem = " or ".join(dict.fromkeys(map(_problem, every))).replace(" or must be ", " or ")
     raise InvalidInput(f"{where} {problem}, got {given}") from None
 
@@ -327,8 +331,8 @@ def _problem(error: Any) -> str:
 def _members(hint: Any) -> Iterator[Any]:
     """Yield what an annotation consists of: types and marks."""
     yield hint
-    for one in get_args(hint):
-        yield from _members(one)
+    for arg in get_args(hint):
+        yield from _members(arg)
 
 
 def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
@@ -350,12 +354,12 @@ def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    named = dict(pairs)
+    if len(named) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise LookupError(f"key {twice!r} is there twice")
-    return found
+    return named
 
 
 def by_name(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
@@ -364,13 +368,13 @@ def by_name(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     >>> by_name([("a", 1), ("b", 2), ("a", 1), ("a", 3)])
     {'a': 1, 'b': 2, 'a (2)': 3}
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, value in pairs:
         number, key = 1, name
-        while found.setdefault(key, value) != value:
+        while values.setdefault(key, value) != value:
             number += 1
             key = f"{name} ({number})"
-    return found
+    return values
 
 
 def differences(there: Any, requested: Any, where: str = "") -> Iterator[str]:
@@ -384,8 +388,8 @@ def differences(there: Any, requested: Any, where: str = "") -> Iterator[str]:
             path = f"{where}.{name}" if where else str(name)
             yield from differences(there.get(name), requested.get(name), path)
     elif there != requested:
-        found = f"{where} is {json.dumps(there)} there and {json.dumps(requested)} here"
-        yield one_line(found)
+        said = f"{where} is {json.dumps(there)} there and {json.dumps(requested)} here"
+        yield one_line(said)
 
 
 # Plugins are modules of others that register kinds, such as tasks and policies, when imported.
@@ -419,7 +423,7 @@ def use_plugins(names: Iterable[str] = ()) -> None:
         InvalidInput: one isn't a module, or importing it fails.
     """
     if not _installed:
-        _installed.extend(["", *sorted(one.value for one in entry_points(group=_PLUGINS))])
+        _installed.extend(["", *sorted(point.value for point in entry_points(group=_PLUGINS))])
     for name in dict.fromkeys([*_installed[1:], *names]):
         if name in _imported:
             continue
@@ -435,5 +439,5 @@ def use_plugins(names: Iterable[str] = ()) -> None:
 
 def plugins() -> dict[str, Path | str]:
     """Return the plugins that were imported, and the source of each, or "" where it has none."""
-    sources = ((name, getattr(one, "__file__", None)) for name, one in _imported.items())
+    sources = ((name, getattr(value, "__file__", None)) for name, value in _imported.items())
     return {name: Path(source) if source else "" for name, source in sources}

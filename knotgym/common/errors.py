@@ -76,10 +76,12 @@ class MissingExtra(KnotgymError, ImportError):
         A checkout of knotgym has a link `datasets` at its top, which would shadow Hugging Face's
         `datasets` when Python runs from there, so such entries of `sys.path` are skipped.
         """
-        if found := sys.modules.get(module):
-            return found
+        if loaded := sys.modules.get(module):
+            return loaded
         searched, link = list(sys.path), ("knotgym", module)
-        sys.path[:] = [one for one in searched if (Path(one) / module).resolve().parts[-2:] != link]
+        sys.path[:] = [
+            place for place in searched if (Path(place) / module).resolve().parts[-2:] != link
+        ]
         try:
             return importlib.import_module(module)
         except ModuleNotFoundError as error:

@@ -105,8 +105,8 @@ class _Sink(io.FileIO):
 
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer).cast("B")
-        found = super().readinto(view) or 0
-        view[found:] = bytes(len(view) - found)  # dropped data reads as zeros
+        count = super().readinto(view) or 0
+        view[count:] = bytes(len(view) - count)  # dropped data reads as zeros
         return len(view)
 
 
@@ -121,13 +121,13 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
     group = file.require_group(schema.name) if schema.name else file
     for c in schema.columns:
         values = [part[c.name] for part in parts]
-        for one in values:
-            _require_values(c, one)
+        for array in values:
+            _require_values(c, array)
         dtype: Any = c.dtype
         if c.dtype == "text":
-            values = [np.strings.encode(one, "utf-8") for one in values]
-            dtype = h5py.string_dtype("utf-8", max(1, *(one.dtype.itemsize for one in values)))
-            values = [one.astype(dtype) for one in values]
+            values = [np.strings.encode(array, "utf-8") for array in values]
+            dtype = h5py.string_dtype("utf-8", max(1, *(array.dtype.itemsize for array in values)))
+            values = [array.astype(dtype) for array in values]
         shape, options, at = values[0].shape[1:], {}, 0
         if pack and rows and prod(shape):
             fitting = max(1, _CHUNK // (np.dtype(dtype).itemsize * prod(shape)))
@@ -135,9 +135,9 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
         data = group.create_dataset(c.name, (rows, *shape), dtype, **options)
         if c.unit:
             data.attrs["unit"] = _fixed(c.unit)
-        for one in values:
-            data[at : at + len(one)] = one
-            at += len(one)
+        for array in values:
+            data[at : at + len(array)] = array
+            at += len(array)
 
 
 def read_tables(
@@ -167,15 +167,15 @@ def read_tables(
     try:
         with h5py.File(path, "r", locking=False) as file:
             attributes = {name: _attribute(file, name) for name in file.attrs}
-            name, found = (attributes.pop(name, None) for name in _HEADER)
+            name, stored = (attributes.pop(name, None) for name in _HEADER)
             items: dict[str, Any] = {}
             file.visititems(items.__setitem__)  # follows no links but hard ones
-            while name == format and type(found) is int and found in upgrades:
-                upgrades[found](items, attributes)
-                found += 1
-            if (name, found) != (format, version) or type(found) is not int:
+            while name == format and type(stored) is int and stored in upgrades:
+                upgrades[stored](items, attributes)
+                stored += 1
+            if (name, stored) != (format, version) or type(stored) is not int:
                 raise InvalidFile(
-                    f"{path} has format {name!r} version {found!r}; this version reads"
+                    f"{path} has format {name!r} version {stored!r}; this version reads"
                     f" {format!r} version {version}"
                 )
             tables: list[Table] = []

@@ -189,19 +189,19 @@ class Table(Mapping[str, NDArray[Any]]):
                 if c.optional:
                     continue
                 raise InvalidInput(f"column {c.name} is missing")
-            found = columns[c.name]
+            values = columns[c.name]
             if not self._columns:
-                self.rows = len(found) if found.ndim else 0
+                self.rows = len(values) if values.ndim else 0
             wanted = (self.rows, *c.shape)
-            if len(wanted) == found.ndim:
-                for word, size in zip(wanted, found.shape, strict=True):
+            if len(wanted) == values.ndim:
+                for word, size in zip(wanted, values.shape, strict=True):
                     if isinstance(word, str):
                         sizes.setdefault(word, size)
             expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in wanted)
-            if type_name(found.dtype) != c.dtype or found.shape != expected:
-                given, right = f"{type_name(found.dtype)} {found.shape}", f"{c.dtype} {expected}"
+            if type_name(values.dtype) != c.dtype or values.shape != expected:
+                given, right = f"{type_name(values.dtype)} {values.shape}", f"{c.dtype} {expected}"
                 raise InvalidInput(f"column {c.name} is {given}, should be {right}")
-            self._columns[c.name] = found
+            self._columns[c.name] = values
         self.schema = schema.sized(**sizes).only(*self._columns)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -243,7 +243,7 @@ class Table(Mapping[str, NDArray[Any]]):
                 that is required or has no value for unknown.
         """
         parts = Table.alike(tables)
-        columns = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         return cls(parts[0].schema, columns)
 
     @staticmethod

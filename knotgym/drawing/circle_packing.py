@@ -162,17 +162,17 @@ def _radii(first: Ids, petals: Ids, inner: NDArray[np.bool_]) -> Array:
         for node in range(nodes):
             if not inner[node]:
                 continue
-            count, own, turn = first[node + 1] - first[node], radii[node], 0.0
+            count, radius, turn = first[node + 1] - first[node], radii[node], 0.0
             before = radii[petals[first[node + 1] - 1]]
             for k in range(first[node], first[node + 1]):
                 after = radii[petals[k]]
-                turn += _between(before, own, after)
+                turn += _between(before, radius, after)
                 before = after
             worst = max(worst, abs(turn - 2 * np.pi))
             # Uniform-neighbour model: `count` equal circles with the same angle sum would have the
             # radius beta / (1 - beta) * own. Inside them, this new radius makes the sum 2 pi.
             beta, delta = sin_cos(turn / (2 * count))[0], sin_cos(np.pi / count)[0]
-            radii[node] = beta / (1 - beta) * own * (1 - delta) / delta
+            radii[node] = beta / (1 - beta) * radius * (1 - delta) / delta
         if worst < _TOLERANCE:
             break
     return radii
@@ -204,17 +204,17 @@ def _laid_out(radii: Array, first: Ids, petals: Ids, inner: NDArray[np.bool_], s
         known_petal = 0
         while not placed[petals[begin + known_petal]]:
             known_petal += 1
-        own, before = radii[node], petals[begin + known_petal]
+        radius, before = radii[node], petals[begin + known_petal]
         angle = _angle_of(at[before, 0] - at[node, 0], at[before, 1] - at[node, 1])
         for k in range(1, count):
             petal = petals[begin + (known_petal + k) % count]
             one, two = radii[before], radii[petal]
-            angle += _between(one, own, two)
+            angle += _between(one, radius, two)
             if not placed[petal]:
                 placed[petal] = True
                 sine, cosine = sin_cos(angle)
-                at[petal, 0] = at[node, 0] + (own + two) * cosine
-                at[petal, 1] = at[node, 1] + (own + two) * sine
+                at[petal, 0] = at[node, 0] + (radius + two) * cosine
+                at[petal, 1] = at[node, 1] + (radius + two) * sine
                 queue[known] = petal
                 known += 1
             before = petal

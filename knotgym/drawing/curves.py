@@ -85,7 +85,7 @@ def _flat(code: GaussCode, rng: np.random.Generator, config: DrawingConfig) -> t
     chances = np.array([size**config.outer for size in sizes])
     outer = int(rng.choice(len(sizes), p=chances / chances.sum()))
     drawn = config.uneven * rng.normal(size=len(sizes))
-    shares = np.array([_exp(one) for one in drawn.tolist()])
+    shares = np.array([_exp(exponent) for exponent in drawn.tolist()])
     shares[outer] = 0.0
     of = planar_map(code, outer)
     # the nodes on the rope come first; those inside the faces have done their work
@@ -119,7 +119,7 @@ def _lifted(
     # all edges have the same number of segments; `share` runs from 0 to 1 along each
     edge = np.repeat(np.arange(len(visits)), len(flat) // len(visits))
     share = (arc[:-1] - ends[edge]) / np.diff(ends)[edge]
-    cosines = np.array([sin_cos(np.pi * one)[1] for one in share.tolist()])
+    cosines = np.array([sin_cos(np.pi * part)[1] for part in share.tolist()])
     z = tops[edge] + np.diff(tops)[edge] * (1 - cosines) / 2
     curve = np.column_stack([flat, z])
     # 0.45: on a short edge, the base point stays in the middle tenth

@@ -215,8 +215,8 @@ def _hold_back(walk: Ids, move: Array, limit: Array, pairs: Ids, gaps: Array, ne
             closing -= gaps[k, c] * (move[node, c] - other)
         if closing > gaps[k, 2] / 3:
             share = gaps[k, 2] / 3 / closing
-            for one in (node, a, b):
-                limit[one] = min(limit[one], share)
+            for corner in (node, a, b):
+                limit[corner] = min(limit[corner], share)
 
 
 @kernel
@@ -311,7 +311,7 @@ def _repel(
         from the nearest point of the segment to the node (2 columns), the distance, and the
         position of that point along the segment, in [0, 1].
     """
-    count, found = len(walk), 0
+    count, close = len(walk), 0
     for t in range(count):
         node = walk[t]
         for s in range(count):
@@ -333,10 +333,10 @@ def _repel(
             far = _length(u, v)
             if far >= reach:
                 continue
-            pairs[found, 0], pairs[found, 1] = node, s
-            gaps[found, 0], gaps[found, 1] = u / max(far, 1e-300), v / max(far, 1e-300)
-            gaps[found, 2], gaps[found, 3] = far, along
-            found += 1
+            pairs[close, 0], pairs[close, 1] = node, s
+            gaps[close, 0], gaps[close, 1] = u / max(far, 1e-300), v / max(far, 1e-300)
+            gaps[close, 2], gaps[close, 3] = far, along
+            close += 1
             # Skip neighbours on the same strand: there the distance is more than half the way
             # along the rope, because the strand hardly bends.
             walked = abs(arc[t] - arc[s] - 0.5 * length[s])
@@ -358,4 +358,4 @@ def _repel(
             stiff[node] += strength
             stiff[a] += (1 - along) * strength
             stiff[b] += along * strength
-    return found
+    return close

@@ -142,7 +142,7 @@ class PicturePlayer:
 
     def _update_goal(self, episode: _Episode, picture: NDArray[np.uint8]) -> None:
         """Lower the weight of goal codes that the rope shows now: the episode would be over."""
-        shown = episode.hypotheses.codes(picture, own=True)
+        shown = episode.hypotheses.codes(picture, current=True)
         # Bayes' rule for "the episode continues": its likelihood is _MISREAD if the rope shows the
         # goal's code and 1 if not, averaged over the codes that the rope may show.
         goals = episode.hypotheses.goals
@@ -198,8 +198,8 @@ class PicturePlayer:
             self._believed.set_points(ropes, velocities, [0])
             state = self._believed.states([0])[0]
             search = PullSearch(episode.goal, PassValues.of_split(), _PLANNER, episode.rng)
-            found = search.plan(state, ropes[0], episode.horizon - episode.step, left)
-            ((_, made),) = self._planning.run([found], _PLANNER.batch_size)
+            planning = search.plan(state, ropes[0], episode.horizon - episode.step, left)
+            ((_, made),) = self._planning.run([planning], _PLANNER.batch_size)
             episode.imagined += made.spent
             left -= made.spent
             forces = made.forces.astype(np.float64)
@@ -273,11 +273,11 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Tas
     Raises:
         InvalidPolicy: it doesn't.
     """
-    found = {**vars(task), "views": ",".join(task.views)}
+    values = {**vars(task), "views": ",".join(task.views)}
     differing = [
-        f"{name} {found[name]} instead of {needed}"
+        f"{name} {values[name]} instead of {needed}"
         for name, needed in {**_READABLE, "action": action}.items()
-        if found[name] != needed
+        if values[name] != needed
     ]
     if differing:
         raise InvalidPolicy(

@@ -61,18 +61,18 @@ def save_network(
         others: tensors that belong to the learner beside the network's.
     """
     kept = {
-        name: own.detach().half().contiguous()
-        for name, own in network.state_dict().items()
-        if own.is_floating_point()
+        name: tensor.detach().half().contiguous()
+        for name, tensor in network.state_dict().items()
+        if tensor.is_floating_point()
     }
-    network.load_state_dict({name: own.float() for name, own in kept.items()}, strict=False)
+    network.load_state_dict({name: tensor.float() for name, tensor in kept.items()}, strict=False)
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / WEIGHTS) as part:
         part.write_bytes(save({**kept, **(others or {})}))
     facts = {
         "weights_sha256": sha256(folder / WEIGHTS),
         "learner": learner,
-        "parameters": sum(one.numel() for one in network.parameters()),
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
         "signature": _signature(network),
     }
     write_card(folder, {**facts, **card})
@@ -110,23 +110,23 @@ def load_network(
         )
     try:
         tensors: dict[str, Tensor] = load(content)
-        for name, own in tensors.items():
-            if not (own.is_floating_point() and torch.isfinite(own).all()):
+        for name, tensor in tensors.items():
+            if not (tensor.is_floating_point() and torch.isfinite(tensor).all()):
                 raise ValueError(f"{name} has numbers that aren't finite")
         beside = {name: tensors.pop(name) for name in others}
         network = make(tensors)
-        weights = {name: own.float() for name, own in tensors.items()}
+        weights = {name: tensor.float() for name, tensor in tensors.items()}
         missing, unknown = network.load_state_dict(weights, strict=False)
         missing = [name for name in missing if not name.endswith("num_batches_tracked")]
         if missing or unknown:
             raise ValueError(f"missing {missing[:3]}, unknown {unknown[:3]}")
-        found, given = _signature(network.eval()), np.array(card.get("signature"), np.float64)
+        made, given = _signature(network.eval()), np.array(card.get("signature"), np.float64)
     except (ArithmeticError, LookupError, RuntimeError, SafetensorError, TypeError, ValueError,
             AssertionError) as error:  # fmt: skip
         raise InvalidFile(
             f"{path} isn't of this version's {learner}: {one_line(error)[:200]}"
         ) from error
-    alike = given.shape == np.shape(found) and np.allclose(given, found, _OFF, _OFF)
+    alike = given.shape == np.shape(made) and np.allclose(given, made, _OFF, _OFF)
     if not alike:
         raise InvalidFile(
             f"{folder} was trained with another network than that of this version of knotgym, in"
@@ -137,7 +137,7 @@ def load_network(
 
 def _signature(network: nn.Module) -> list[float]:
     with inference():
-        return [float(f"{one:.6g}") for one in network.signature().flatten().tolist()]
+        return [float(f"{number:.6g}") for number in network.signature().flatten().tolist()]
 
 
 def load_reader(name: str) -> Learned:

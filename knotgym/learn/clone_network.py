@@ -50,7 +50,7 @@ class Inputs(NamedTuple):
 
 def inputs(seen: Sequence[Any]) -> Inputs:
     """Return the network's inputs of the first four parts of `Marked`, arrays or tensors."""
-    points, marks, code, goal = (torch.as_tensor(one) for one in seen)
+    points, marks, code, goal = (torch.as_tensor(part) for part in seen)
     points, marks = points.float(), marks.float()
     # central differences: the direction of the rope at each vertex, which positions alone leave to
     # be learned
@@ -105,15 +105,19 @@ class CloneNetwork(nn.Module):
         )
         self.body = nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
         self.norm = nn.LayerNorm(width)
-        own = _BEAD_WIDTH
-        self.outward = nn.Linear(width, _PATCH * own)
-        self.local = nn.Linear(8 + _ARC_WIDTH, own)
-        self.bead = nn.Linear(own, 1)
+        beads = _BEAD_WIDTH
+        self.outward = nn.Linear(width, _PATCH * beads)
+        self.local = nn.Linear(8 + _ARC_WIDTH, beads)
+        self.bead = nn.Linear(beads, 1)
         # The strand is pointed at: a query of the chosen bead against all beads, with a bias by
         # their distance along the rope.
-        self.query = nn.Sequential(nn.Linear(own + width, width), nn.ReLU(), nn.Linear(width, own))
+        self.query = nn.Sequential(
+            nn.Linear(beads + width, width), nn.ReLU(), nn.Linear(width, beads)
+        )
         self.apart = nn.Embedding(BEADS, 1)
-        self.side = nn.Sequential(nn.Linear(3 * own + width, width), nn.ReLU(), nn.Linear(width, 4))
+        self.side = nn.Sequential(
+            nn.Linear(3 * beads + width, width), nn.ReLU(), nn.Linear(width, 4)
+        )
         # no distance is preferred at first
         nn.init.zeros_(self.apart.weight)
 
@@ -133,13 +137,13 @@ class CloneNetwork(nn.Module):
     def forward(self, states: Inputs) -> MarkedInputs:
         """Look at states."""
         count = len(states.beads)
-        own = torch.cat([states.beads, self.arc(states.arcs)], dim=2)
+        seen = torch.cat([states.beads, self.arc(states.arcs)], dim=2)
         # both codes as one vector: a token of its own, and added to every patch
         whole = self.codes(states.codes.flatten(1))[:, None]
-        patches = self.inward(own.reshape(count, BEADS // _PATCH, -1)) + self.place + whole
+        patches = self.inward(seen.reshape(count, BEADS // _PATCH, -1)) + self.place + whole
         tokens = self.norm(self.body(torch.cat([whole, patches], dim=1)))
         # back to beads: what a patch knows, and beside it what each bead has of its own
-        beads = self.outward(tokens[:, 1:]).reshape(count, BEADS, -1) + self.local(own)
+        beads = self.outward(tokens[:, 1:]).reshape(count, BEADS, -1) + self.local(seen)
         beads = functional.relu(beads)
         return MarkedInputs(beads, tokens[:, 0], self.bead(beads)[..., 0])
 

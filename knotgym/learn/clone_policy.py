@@ -175,9 +175,9 @@ def _choose_macros(
         worth = prior + weight * likely + WORKING * works + torch.from_numpy(noise)
         best = macros[torch.arange(count), worth.argmax(1)[:count]].numpy()
         # back from the canonical frame into the world; reversal is its own inverse
-        own = seen.frames.macros(best, points.shape[1])
-        own[:, 1] = (own[:, 1] + (own[:, 1] == own[:, 0])) % points.shape[1]  # not itself
-        chosen.append(own)
+        world = seen.frames.macros(best, points.shape[1])
+        world[:, 1] = (world[:, 1] + (world[:, 1] == world[:, 0])) % points.shape[1]  # not itself
+        chosen.append(world)
     return np.concatenate(chosen)
 
 

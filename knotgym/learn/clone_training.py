@@ -52,14 +52,14 @@ class CloneTraining(Training):
     ) -> Recipe[Self]:
         """Begin a training on the passes of datasets, and on those of searches."""
         parts, count = list[Examples](), 0
-        for one in datasets:
-            if "macro_start" not in one.episodes.steps:
+        for dataset in datasets:
+            if "macro_start" not in dataset.episodes.steps:
                 raise InvalidInput(
-                    f"{one.name} doesn't say which macro-actions its policy chose, so the clone"
+                    f"{dataset.name} doesn't say which macro-actions its policy chose, so the clone"
                     " can't learn them; use a set of expert or noisy"
                 )
-            parts.append(Examples.of(one.episodes, count))
-            count += one.episodes.episodes.rows
+            parts.append(Examples.of(dataset.episodes, count))
+            count += dataset.episodes.episodes.rows
         calls = list[Call]()
         for task, nx in product(config.task, config.nx):
             for first in range(0, config.demonstrations, TOGETHER):
@@ -98,8 +98,8 @@ class CloneTraining(Training):
 
     def _parts(self) -> dict[str, dict[str, Tensor]]:
         """Return the tensors to keep beside the optimizer's."""
-        own = {"average": self._average, "best": self._best, "judged": {"least": self._least}}
-        return {**super()._parts(), **own}
+        more = {"average": self._average, "best": self._best, "judged": {"least": self._least}}
+        return {**super()._parts(), **more}
 
     def _advance(self) -> None:
         """Train up to the next row of the learning curve; then judge the averaged weights."""
@@ -117,8 +117,8 @@ class CloneTraining(Training):
             # the average forgets the first steps faster
             decay = min(_AVERAGE, self.step / (self.step + 20))
             with torch.no_grad():
-                for name, own in self.network.state_dict().items():
-                    self._average[name].mul_(decay).add_(own, alpha=1 - decay)
+                for name, tensor in self.network.state_dict().items():
+                    self._average[name].mul_(decay).add_(tensor, alpha=1 - decay)
         judged = losses[-1].item()
         if len(self._aside[-1]):
             with torch.no_grad():
@@ -162,7 +162,7 @@ def _held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
 
 
 def _tensors(data: Examples, rows: NDArray[np.int64], device: str) -> list[Tensor]:
-    return [torch.from_numpy(one[rows]).to(device) for one in data[:6]]
+    return [torch.from_numpy(column[rows]).to(device) for column in data[:6]]
 
 
 def _loss(network: CloneNetwork, data: Sequence[Tensor]) -> Tensor:
@@ -171,4 +171,4 @@ def _loss(network: CloneNetwork, data: Sequence[Tensor]) -> Tensor:
 
 
 def _copied(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name: own.clone() for name, own in weights.items()}
+    return {name: weight.clone() for name, weight in weights.items()}

@@ -57,7 +57,7 @@ LEARNERS = {
     ),
 }
 # names of the policies that ship
-POLICIES = tuple(one.ships for one in LEARNERS.values())
+POLICIES = tuple(learner.ships for learner in LEARNERS.values())
 
 
 def policy_folder(name: str | Path) -> Path:

@@ -117,7 +117,9 @@ class Reader(nn.Module):
         # `join`: x and y, READINGS heights and READINGS logits; `correct`: x, y and height
         sizes = (2 + 2 * READINGS, 3)
         made = [BeadNetwork(INPUTS, outputs, width, 2 * (1, 2, 4, 8)) for outputs in sizes]
-        self.join, self.correct = (_initialize(one, 2 * seed + k) for k, one in enumerate(made))
+        self.join, self.correct = (
+            _initialize(network, 2 * seed + k) for k, network in enumerate(made)
+        )
 
     def signature(self) -> Tensor:
         """Return what both networks make of a ring in the rope's colours."""
@@ -140,7 +142,7 @@ class Reader(nn.Module):
             Readings, float32 (n, READINGS, BEADS, 3), metres, and log-probabilities, float32
             (n, READINGS).
         """
-        axes = np.stack([_first_axis(one.pixels) for one in seen])
+        axes = np.stack([_first_axis(reading.pixels) for reading in seen])
         guesses = np.zeros((len(seen), BEADS, 3))
         # colours locate the middles of beads; vertex i lies between beads i - 1 and i
         guesses[..., :2] = PIXEL * 0.5 * (axes + np.roll(axes, 1, axis=1))
@@ -227,9 +229,9 @@ class Reader(nn.Module):
 
 def _enforce_crossings(vertices: Array, picture: NDArray[np.uint8]) -> None:
     """Make ropes (n, BEADS, 3) cross as the picture's colours say, in place."""
-    for own in vertices:
-        pixels = np.column_stack([own[:, :2] / PIXEL, own[:, 2]])
-        enforce_votes(own, crossing_votes(picture, pixels, _COLOURS), _APART, _LIFTED)
+    for rope in vertices:
+        pixels = np.column_stack([rope[:, :2] / PIXEL, rope[:, 2]])
+        enforce_votes(rope, crossing_votes(picture, pixels, _COLOURS), _APART, _LIFTED)
 
 
 def waves(count: int, most: int, rng: np.random.Generator) -> Array:

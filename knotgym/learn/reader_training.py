@@ -51,7 +51,7 @@ class ReaderTraining(Training):
     ) -> Recipe[Self]:
         """Begin a training on the states of datasets."""
         yield []  # a recipe yields calls at least once; this one has none to make
-        return cls(TrainingData.of([one.episodes for one in datasets]), config)
+        return cls(TrainingData.of([dataset.episodes for dataset in datasets]), config)
 
     def __init__(self, data: TrainingData, config: ReaderConfig) -> None:
         """Create a reader."""
@@ -68,8 +68,8 @@ class ReaderTraining(Training):
         readings, log_probabilities = self.network.joined(seen)
         first, best = _best_reading_loss(readings, log_probabilities, wanted)
         # `correct` must also refine readings, as it does for the first picture of an episode
-        own = rng.random(count) < _OWN
-        guesses[own], moves[own] = best.detach().double().numpy()[own], 0.0
+        read = rng.random(count) < _OWN
+        guesses[read], moves[read] = best.detach().double().numpy()[read], 0.0
         second = _loss(self.network.corrected(seen, guesses, moves), wanted).mean()
         self._minimize(first + second)
         self.losses.append((self.step, first.item(), second.item(), math.nan))
@@ -107,10 +107,13 @@ def _drawn(
     after[begins] = before[begins]
     moves = after - before
     # positions relative to the rope's middle, as a camera that follows it shows them
-    for own in (true, after):
-        own -= own.mean(axis=1, keepdims=True)
+    for vertices in (true, after):
+        vertices -= vertices.mean(axis=1, keepdims=True)
     # augment the three of one example alike: stacked as (BEADS, 3 kinds, 3)
-    both = [_augmented(np.stack(own, axis=1), rng) for own in zip(true, after, moves, strict=True)]
+    both = [
+        _augmented(np.stack(vectors, axis=1), rng)
+        for vectors in zip(true, after, moves, strict=True)
+    ]
     true, after, moves = np.stack(both).transpose(2, 0, 1, 3)
     return true, np.ascontiguousarray(after), np.ascontiguousarray(moves)
 
@@ -134,13 +137,13 @@ def _augmented(vectors: Array, rng: np.random.Generator) -> Array:
     # mirroring y is the same as mirroring x and turning by pi, so only x and z are mirrored
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    own = vectors.copy()
-    own[..., :2] = own[..., :2] @ turn
-    own *= (rng.choice((-1.0, 1.0)), 1.0, rng.choice((-1.0, 1.0)))
+    turned = vectors.copy()
+    turned[..., :2] = turned[..., :2] @ turn
+    turned *= (rng.choice((-1.0, 1.0)), 1.0, rng.choice((-1.0, 1.0)))
     # walk the rope backwards, and start at another bead
     if rng.random() < 0.5:
-        own = own[::-1]
-    return np.roll(own, int(rng.integers(BEADS)), axis=0)
+        turned = turned[::-1]
+    return np.roll(turned, int(rng.integers(BEADS)), axis=0)
 
 
 def _best_reading_loss(

@@ -113,9 +113,9 @@ def read_photos(
         raise InvalidInput(f"--out must end in .json or .csv, got {out}")
     drawn = [None if overlays is None else overlays / name for name in _names(files)]
     require_apart(out, overlays)
-    for one in filter(None, drawn):  # a photo may lie there
+    for png in filter(None, drawn):  # a photo may lie there
         replaces = options.overwrite or options.resume
-        require_output(one, folder=False, overwrite=replaces, reads=files)
+        require_output(png, folder=False, overwrite=replaces, reads=files)
     if overlays is not None:
         overlays.mkdir(parents=True, exist_ok=True)
     rows = list[dict[str, Any]]()
@@ -141,17 +141,17 @@ def read_photos(
 
 def _pictures(photos: Sequence[Path]) -> list[Path]:
     """Return the files, and the pictures in the folders, in order of their names."""
-    found = list[Path]()
+    files = list[Path]()
     for path in photos:
         if path.is_dir():
-            found += sorted(one for one in path.rglob("*") if one.is_file() and is_picture(one))
+            files += sorted(file for file in path.rglob("*") if file.is_file() and is_picture(file))
         elif path.exists():
-            found.append(path)
+            files.append(path)
         else:
             raise MissingFile(f"no photo {path}")
-    if not found:
+    if not files:
         raise InvalidInput(f"no pictures in {', '.join(map(str, photos))}")
-    return found
+    return files
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -189,6 +189,6 @@ def _write(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         writer.writerow([*_COLUMNS, "picture_crossings", "picture_closed", "reason"])
         for row in rows:
             for k, rope in enumerate(row["ropes"] or [{}], 1):
-                own = [rope.get(name) for name in _COLUMNS[2:]]
+                values = [rope.get(name) for name in _COLUMNS[2:]]
                 whole = [row[name] for name in _WHOLE]
-                writer.writerow([row["file"], k if rope else None, *own, *whole])
+                writer.writerow([row["file"], k if rope else None, *values, *whole])

@@ -105,8 +105,8 @@ class PositionBelief:
         some = points[self._rng.integers(len(points), size=24)]
         particles = self.positions[self._rng.integers(PARTICLES, size=24)]
         candidates = np.concatenate([some + particles, some + self.positions.mean(0)])
-        distributions = [self.bead_probabilities(points, one) for one in candidates]
-        entropy = [-(own[own > 0] * np.log(own[own > 0])).sum() for own in distributions]
+        distributions = [self.bead_probabilities(points, candidate) for candidate in candidates]
+        entropy = [-(p[p > 0] * np.log(p[p > 0])).sum() for p in distributions]
         return candidates[int(np.argmax(entropy))]
 
     def bead_probabilities(self, points: Array, named: Array) -> Array:
@@ -154,7 +154,7 @@ def _directions(points: Array, bead: int) -> Array:
 @kernel
 def _nearest_beads(points: Array, positions: Array, named: Array) -> Ids:
     """Return, for each particle, the bead that naming a point would pull, int64 (particles,)."""
-    found = np.empty(len(positions), np.int64)
+    nearest = np.empty(len(positions), np.int64)
     for k in range(len(positions)):
         # bead i lies at points[i] + positions[k]; moving the named point instead costs 3
         # subtractions per particle, not 3 per bead
@@ -166,8 +166,8 @@ def _nearest_beads(points: Array, positions: Array, named: Array) -> Ids:
             far = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2
             if far < best:
                 best, at = far, i
-        found[k] = at
-    return found
+        nearest[k] = at
+    return nearest
 
 
 @kernel
@@ -178,10 +178,10 @@ def _expected_worth(
     worth = np.zeros(len(candidates))
     beads = len(points)
     for t in range(len(candidates)):
-        found = _nearest_beads(points, positions, candidates[t])
+        nearest = _nearest_beads(points, positions, candidates[t])
         for k in range(len(positions)):
             # distance along the closed rope, either way round
-            off = abs(found[k] - bead)
+            off = abs(nearest[k] - bead)
             off = min(off, beads - off)
             if off < len(near):
                 worth[t] += near[off]
@@ -283,15 +283,15 @@ class ShapeHypotheses:
             np.concatenate([(1 - fresh) * carried / carried.sum(), fresh * read_weights]),
         )
 
-    def codes(self, picture: NDArray[np.uint8], own: bool = False) -> dict[GaussCode, float]:
+    def codes(self, picture: NDArray[np.uint8], current: bool = False) -> dict[GaussCode, float]:
         """Return the probabilities of the codes, without chirality, that a picture may show.
 
         Args:
             picture: uint8 (SIZE, SIZE, 3), of another rope, such as the goal's.
-            own: it is the current picture of this rope.
+            current: it is the current picture of this rope.
         """
         ropes, weights = self.ropes[:_CONSULTED], self.weights[:_CONSULTED]
-        if not own:
+        if not current:
             ropes, weights = self._reader.read(picture)
         # A reading is about a millimetre off, enough to miss or invent a small kink. So the codes
         # of many perturbed copies are counted instead of trusting that of the reading itself.
@@ -316,10 +316,10 @@ class ShapeHypotheses:
         for rope, velocity, weight in zip(
             self.ropes[:_CONSULTED], self.velocities, self.weights, strict=False
         ):
-            ropes, speeds = (np.tile(one, (BEADS, 1, 1)) for one in (rope, velocity))
+            ropes, speeds = (np.tile(array, (BEADS, 1, 1)) for array in (rope, velocity))
             after, _ = imagine(self._chain, ropes, speeds, np.arange(BEADS), force)
-            own = self._log_likelihood(after - after.mean(axis=1, keepdims=True), read)
-            fit = np.logaddexp(fit, own + np.log(weight))
+            logs = self._log_likelihood(after - after.mean(axis=1, keepdims=True), read)
+            fit = np.logaddexp(fit, logs + np.log(weight))
         likelihood = np.exp(fit - fit.max())
         prior = self.position.bead_probabilities(self.ropes[0], named)
         self.bead = int(np.argmax(likelihood * (prior + _SURPRISE)))

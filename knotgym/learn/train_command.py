@@ -9,7 +9,7 @@ from knotgym.cli import EXISTING, Given, command
 from knotgym.common import InvalidInput, MissingExtra
 from knotgym.learn.learners import LEARNERS, PICTURES
 
-_SECTIONS = {one.section: one.config for one in LEARNERS.values()}
+_SECTIONS = {row.section: row.config for row in LEARNERS.values()}
 
 
 @command(_SECTIONS, f"steps seed run.workers {EXISTING}")
@@ -71,7 +71,7 @@ def _log_writer(name: str, out: Path) -> Callable[[int, dict[str, float]], None]
     opened = cache(partial(LOGS[name], out))
 
     def _write(step: int, values: dict[str, float]) -> None:
-        opened()(step, {name: one for name, one in values.items() if not isnan(one)})
+        opened()(step, {name: value for name, value in values.items() if not isnan(value)})
 
     return _write
 

@@ -60,29 +60,29 @@ def train(
         raise InvalidInput("device cuda needs a GPU that torch can use; there is none, so use cpu")
     if not options.shard.is_whole:
         raise InvalidInput("a training can't be divided: leave out run.shard")
-    opened = [columns_of(one) for one in datasets]
-    for one in opened:
-        _require_trainable(one)
-    if not (tasks := [one.task for one in opened] or config.demonstrated):
+    opened = [columns_of(dataset) for dataset in datasets]
+    for dataset in opened:
+        _require_trainable(dataset)
+    if not (tasks := [dataset.task for dataset in opened] or config.demonstrated):
         raise InvalidInput(
             "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
             " made for a clone, as in --set clone.demonstrations=1000"
         )
-    parts = [part for one in opened for part in one.parts or [one]]
+    parts = [part for dataset in opened for part in dataset.parts or [dataset]]
     whole = identity(
         config,
         {
             "data": [part.path for part in parts],
-            "columns": [Table.digest(table) for one in opened for table in one.episodes],
+            "columns": [Table.digest(table) for dataset in opened for table in dataset.episodes],
         },
     )
     unused = () if config.demonstrated else _MADE
     card = {
         "knotgym": knotgym.__version__,
-        "config": {name: one for name, one in whole["config"].items() if name not in unused},
+        "config": {name: value for name, value in whole["config"].items() if name not in unused},
         "data": by_name((part.name, sha256(part.path)) for part in parts),
         "updates": config.steps,
-        "trained_on": _trained_on([*(one.task for one in opened), *config.demonstrated]),
+        "trained_on": _trained_on([*(dataset.task for dataset in opened), *config.demonstrated]),
         "identity": whole,
     }
 
@@ -125,7 +125,7 @@ def _require_trainable(dataset: EpisodeDataset) -> None:
 def _trained_on(tasks: Sequence[TaskConfig]) -> dict[str, list[Any]]:
     """Return the setups of the datasets and of demonstrations: the values of each setting."""
     setups = dict.fromkeys(
-        (one.task, one.nx, one.states or "readable", one.engine) for one in tasks
+        (task.task, task.nx, task.states or "readable", task.engine) for task in tasks
     )
     values = [sorted(set(column), key=str) for column in zip(*setups, strict=True)]
     return dict(zip(("tasks", "nx", "states", "engine"), values, strict=True))

@@ -112,11 +112,11 @@ class Training(ABC):
         # AdamW's two means and its count for each parameter: without them a resumed training would
         # take other steps
         moments = self._optimizer.state_dict()["state"]
-        parts = {**self._parts(), **{f"optimizer {number}": own for number, own in moments.items()}}
-        kept = {f"{part}/{k}": one for part, own in parts.items() for k, one in own.items()}
+        parts = {**self._parts(), **{f"optimizer {k}": moment for k, moment in moments.items()}}
+        kept = {f"{part}/{k}": x for part, tensors in parts.items() for k, x in tensors.items()}
         kept["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 4)
         kept["step"] = torch.tensor([self.step])
-        kept = {name: own.detach().cpu().contiguous() for name, own in kept.items()}
+        kept = {name: tensor.detach().cpu().contiguous() for name, tensor in kept.items()}
         content = save(kept)
         with atomic_write(path) as part:
             part.write_bytes(hashlib.sha256(content).digest() + content)
@@ -135,15 +135,15 @@ class Training(ABC):
             kept = load(content)
             self.step, self.losses = int(kept.pop("step")), kept.pop("losses").tolist()
             parts: dict[str, dict[str, Tensor]] = {}
-            for name, own in kept.items():
+            for name, tensor in kept.items():
                 part, _, rest = name.partition("/")
-                parts.setdefault(part, {})[rest] = own
+                parts.setdefault(part, {})[rest] = tensor
             for part, tensors in self._parts().items():
                 if tensors.keys() != parts[part].keys():
                     raise ValueError(f"its {part} is another one")
-                for name, own in tensors.items():
+                for name, tensor in tensors.items():
                     # in place: the optimizer holds these very tensors
-                    own.copy_(parts[part][name])
+                    tensor.copy_(parts[part][name])
             moments = {
                 int(part.split()[1]): own for part, own in parts.items() if part[:9] == "optimizer"
             }

@@ -65,15 +65,15 @@ class TrainingData(NamedTuple):
     def of(cls, sets: Sequence[Episodes]) -> "TrainingData":
         """Return the states and pulls of sets of episodes."""
         parts, before = list[TrainingData](), 0
-        for one in sets:
-            steps, starts = one.steps, one.offsets[:-1]
+        for dataset in sets:
+            steps, starts = dataset.steps, dataset.offsets[:-1]
             # a row holds the pull made in its state; here it belongs to the state that it led to
             beads = np.roll(steps["bead"].astype(np.int64), 1)
             forces = np.roll(steps["force"] * steps["applied_fraction"][:, None], 1, axis=0)
             beads[starts] = -1
             parts.append(cls(steps["observation"], beads, forces, before + starts))
             before += steps.rows
-        return cls(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 class Examples(NamedTuple):
@@ -96,15 +96,15 @@ class Examples(NamedTuple):
     episodes: NDArray[np.int64]
 
     @classmethod
-    def of(cls, one: Episodes, first: int = 0) -> "Examples":
+    def of(cls, played: Episodes, first: int = 0) -> "Examples":
         """Return the passes of a set of episodes; the numbers of episodes begin at `first`."""
-        steps, episodes = one.steps, one.episodes
+        steps, episodes = played.steps, played.episodes
         # other macro-actions, which the scripted policy has too, pass no strand
         beads = steps["observation"].shape[1]
         passes = (steps["macro_side"] != 0) & (steps["macro_target"] < beads)
         # the first pull of each: there the policy saw the state and chose
         chosen = np.flatnonzero(steps["macro_start"] & passes)
-        number = one.episode_of()[chosen]
+        number = played.episode_of()[chosen]
         macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
         return _examples(
             steps["observation"][chosen],
@@ -155,13 +155,13 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     given = zip(states, batch.simulation.points[ids].copy(), goals, prefixes, strict=True)
     # numbered by the order in which they were given, though they end in any order
     search = BatchedSearch(_ROPES)
-    found = dict(search.run(_found(*one, values) for one in given))
+    plans = dict(search.run(_found(*asked, values) for asked in given))
     # a code that is held out is no goal, wherever passes lead
     elsewhere = 0 if SPLITS[config.split].by_code else _ELSEWHERE
     rows = [
         (first + k, *row)
-        for k in sorted(found)
-        for row in _shown(found[k], goals[k], config.copies, elsewhere, rngs[k])
+        for k in sorted(plans)
+        for row in _shown(plans[k], goals[k], config.copies, elsewhere, rngs[k])
     ]
     # none where the order of the passes knows no way to any of the goals
     episodes, points, codes, macros, worked = zip(*rows, strict=True) if rows else ((),) * 5
@@ -192,38 +192,38 @@ def _shown(
 ) -> Iterator[Row]:
     """Yield the examples of a search: points, goal, macro-action, and whether it works."""
     beads = len(plan.tried[0].points) if plan.tried else 0
-    leading = {id(one) for one in plan.passes}
+    leading = {id(tried) for tried in plan.passes}
     some = partial(_some, rng=rng)
-    for one in some([one for one in plan.tried if _leads_elsewhere(one, goal)], elsewhere):
-        yield _numbered(one, int(rng.integers(beads)), one.landing.points)
+    for tried in some([tried for tried in plan.tried if _leads_elsewhere(tried, goal)], elsewhere):
+        yield _numbered(tried, int(rng.integers(beads)), tried.landing.points)
     # by identity, as two tries of one pass from one state are different examples
-    vain = [one for one in plan.tried if id(one) not in leading]
+    vain = [tried for tried in plan.tried if id(tried) not in leading]
     if not plan.passes:
-        yield from ((one.points, goal, one.move, False) for one in some(vain, _IN_VAIN))
+        yield from ((tried.points, goal, tried.move, False) for tried in some(vain, _IN_VAIN))
         return
     # the rope ends where the goal's code is shown, from whichever bead it is read
     end = plan.passes[-1].landing.points
     for base in (0, *rng.choice(np.arange(1, beads), copies, replace=False).tolist()):
-        yield from (_numbered(one, base, end)[:3] + (True,) for one in plan.passes)
-        yield from (_numbered(one, base, end) for one in some(vain, _IN_VAIN))
+        yield from (_numbered(tried, base, end)[:3] + (True,) for tried in plan.passes)
+        yield from (_numbered(tried, base, end) for tried in some(vain, _IN_VAIN))
 
 
-def _numbered(one: TriedPass, base: int, end: Array) -> Row:
+def _numbered(tried: TriedPass, base: int, end: Array) -> Row:
     """Number the beads of a pass from `base`; its goal is the code of `end`, read from there.
 
     It works if it leads to that code. From bead 0 a pass in vain doesn't, from another it may.
     """
-    count, (bead, target, side) = len(end), one.move
-    before, after = one.points, one.landing.points
+    count, (bead, target, side) = len(end), tried.move
+    before, after = tried.points, tried.landing.points
     start, landed, wanted = (np.roll(points, -base, axis=0) for points in (before, after, end))
     goal = label(wanted).plain
     move = Pass((bead - base) % count, (target - base) % count, side)
     return start, goal, move, label(landed).matches(goal)
 
 
-def _leads_elsewhere(one: TriedPass, goal: GaussCode) -> bool:
-    code, here = one.landing.code, label(one.points)
-    known = code.matches(goal) or code.matches(here) or one.landing.lost
+def _leads_elsewhere(tried: TriedPass, goal: GaussCode) -> bool:
+    code, here = tried.landing.code, label(tried.points)
+    known = code.matches(goal) or code.matches(here) or tried.landing.lost
     return not known and code.nx <= _MOST_CROSSINGS
 
 

@@ -63,7 +63,7 @@ class Trials:
         rows = np.array(curve, dtype=np.float64)
         # at most _ROWS groups of neighbouring rows, each shown by its mean
         groups = np.array_split(rows, range(0, len(rows), -(-len(rows) // _ROWS))[1:])
-        rows = np.array([[own[-1, 0], *map(_mean, own[:, 1:].T)] for own in groups])
+        rows = np.array([[group[-1, 0], *map(_mean, group[:, 1:].T)] for group in groups])
         with atomic_write(out / "training.csv") as part, part.open("w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(("step", *names, "success"))
@@ -135,5 +135,5 @@ def _ticks(most: float) -> list[float]:
     ([0.0, 1000.0, 2000.0, 3000.0], [0.0, 0.2, 0.4, 0.6])
     """
     power = 10.0 ** math.floor(math.log10(max(most, 1e-9)))
-    step = next(one * power for one in (0.2, 0.5, 1, 2) if most < 6 * one * power)
+    step = next(digit * power for digit in (0.2, 0.5, 1, 2) if most < 6 * digit * power)
     return [round(k * step, 12) for k in range(int(most / step + 1e-9) + 1)]

@@ -49,7 +49,7 @@ def mended(lines: list[Line], response: NDArray[np.float32], frame: Array) -> li
         frame: float64 (4,), edges of the picture.
     """
     lines = _exchanged(_joined(_parted(_alone(lines)), response, frame))
-    return [one for one in lines if not _is_on_rim(one, frame)]
+    return [line for line in lines if not _is_on_rim(line, frame)]
 
 
 def _is_on_rim(line: Line, frame: Array) -> bool:
@@ -113,7 +113,7 @@ def _parted(lines: list[Line]) -> list[Line]:
     and the four ends are joined so that they cross: strands that only touch are further apart.
     """
     while True:
-        found = list[tuple[float, Array, Array, list[Line], Array, Array]]()
+        splits = list[tuple[float, Array, Array, list[Line], Array, Array]]()
         ends = _loose_ends(lines)
         for i, (k, side, at, way) in enumerate(ends):
             for other, far, there, their in ends[:i]:
@@ -122,17 +122,17 @@ def _parted(lines: list[Line]) -> list[Line]:
                 if 1.0 < gap < _MERGED and min(way @ ahead, -their @ ahead) > _FACING:
                     own = {(k, side), (other, far)}
                     if cut := _cut_between(lines, at, there, own):
-                        found.append((gap, at, there, *cut))
-        if not found:
+                        splits.append((gap, at, there, *cut))
+        if not splits:
             return lines
-        _, a, b, lines, c, d = min(found, key=lambda one: one[0])
+        _, a, b, lines, c, d = min(splits, key=lambda one: one[0])
         pairs = ((a, b), (c, d)) if _meet(a, b, c, d) or not _meet(a, d, c, b) else ((a, d), (c, b))
         for one, two in pairs:
             lines = _united(lines, _end_at(lines, one), _end_at(lines, two))
 
 
 def _cut_between(
-    lines: list[Line], at: Array, there: Array, own: set[tuple[int, int]]
+    lines: list[Line], at: Array, there: Array, mine: set[tuple[int, int]]
 ) -> tuple[list[Line], Array, Array] | None:
     """Cut the line that passes between two ends beside the way from one to the other.
 
@@ -150,7 +150,7 @@ def _cut_between(
             shift = len(points) // 2 - int(apart[:, 3].argmin())
             points, apart = np.roll(points, shift, 0), np.roll(apart, shift, 0)
         for side in (0, 1):  # not the ends themselves
-            if (k, side) in own:
+            if (k, side) in mine:
                 apart[slice(-4, None) if side else slice(0, 4)] = np.inf
         nearest = apart.argmin(axis=0)
         first, last = sorted((int(nearest[0]), int(nearest[-1])))
@@ -171,7 +171,7 @@ def _cut(lines: list[Line], k: int, first: int, last: int) -> tuple[list[Line], 
     parts = [points[:first], points[last:]]
     if lines[k].closed:
         parts = [np.concatenate(parts[::-1])]
-    cut = [Line(one, False) for one in parts]
+    cut = [Line(part, False) for part in parts]
     return [*lines[:k], *lines[k + 1 :], *cut], points[first - 1], points[last]
 
 
@@ -180,18 +180,18 @@ def _exchanged(lines: list[Line]) -> list[Line]:
     if not lines:
         return lines
     while True:
-        points = np.concatenate([one.points for one in lines])
-        owner = np.repeat(np.arange(len(lines)), [len(one.points) for one in lines])
-        index = np.concatenate([np.arange(len(one.points)) for one in lines])
-        size = np.array([len(one.points) for one in lines])[owner]
-        room = np.array([one.closed for one in lines])[owner] & (size > 4 * _ARM)
+        points = np.concatenate([part.points for part in lines])
+        owner = np.repeat(np.arange(len(lines)), [len(part.points) for part in lines])
+        index = np.concatenate([np.arange(len(part.points)) for part in lines])
+        size = np.array([len(part.points) for part in lines])[owner]
+        room = np.array([part.closed for part in lines])[owner] & (size > 4 * _ARM)
         room |= (index >= _ARM) & (index < size - _ARM)
         away = np.abs(index[:, None] - index)
         alike = (owner[:, None] == owner) & (np.minimum(away, size - away) < 2 * _ARM)
         apart = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
         near = (apart < _TOUCH) & ~alike & room & room[:, None]
-        found = np.argwhere(np.triu(near))
-        for a, b in found[np.argsort(apart[tuple(found.T)])]:
+        meeting = np.argwhere(np.triu(near))
+        for a, b in meeting[np.argsort(apart[tuple(meeting.T)])]:
             middle = 0.5 * (points[a] + points[b])
             ahead = [index[one] + np.array([-_ARM, _ARM]) for one in (a, b)]
             (p, q), (r, t) = (
@@ -211,7 +211,7 @@ def _exchanged(lines: list[Line]) -> list[Line]:
         straight = _meet(p, t, r, q)
         ends = []
         for place in (points[a], points[b]):
-            k = next(k for k, one in enumerate(lines) if (one.points == place).all(axis=1).any())
+            k = next(k for k, part in enumerate(lines) if (part.points == place).all(axis=1).any())
             line = lines[k]
             at = int((line.points == place).all(axis=1).argmax())
             if line.closed:
@@ -239,15 +239,15 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.bool_]:
         (x, y), (u, v) = np.moveaxis(q - p, -1, 0), np.moveaxis(r - p, -1, 0)
         return np.asarray(x * v - y * u)
 
-    one = side(a, b, c) * side(a, b, d) < 0
-    return np.asarray(one & (side(c, d, a) * side(c, d, b) < 0))
+    parted = side(a, b, c) * side(a, b, d) < 0
+    return np.asarray(parted & (side(c, d, a) * side(c, d, b) < 0))
 
 
 def _end_at(lines: list[Line], place: Array) -> tuple[int, int]:
     """Return which line ends at a place, and at which side."""
     return next(
-        (k, side) for k, one in enumerate(lines) for side in (0, 1)
-        if not one.closed and np.array_equal(one.points[-side], place)
+        (k, side) for k, line in enumerate(lines) for side in (0, 1)
+        if not line.closed and np.array_equal(line.points[-side], place)
     )  # fmt: skip
 
 
@@ -279,7 +279,7 @@ def _joined(lines: list[Line], response: NDArray[np.float32], frame: Array) -> l
     """
     while True:
         ends = _loose_ends(lines)
-        found = list[tuple[float, int, int]]()
+        joins = list[tuple[float, int, int]]()
         for i, (_, _, at, way) in enumerate(ends):
             for j, (_, _, there, their) in enumerate(ends[:i]):
                 gap = np.hypot(*(there - at))
@@ -290,7 +290,7 @@ def _joined(lines: list[Line], response: NDArray[np.float32], frame: Array) -> l
                 faced = min(way @ ahead, -their @ ahead)
                 if gap >= (CUT_APART if cut.any() else _GAP):
                     if gap < _MERGED and faced > _UNDER and _is_under(lines, at, there):
-                        found.append((gap + BEND * turn, i, j))
+                        joins.append((gap + BEND * turn, i, j))
                     continue
                 # each points at the other; or at a tight bend, where all directions are lit, the
                 # response between them is that of a strand
@@ -299,10 +299,10 @@ def _joined(lines: list[Line], response: NDArray[np.float32], frame: Array) -> l
                 least = response_at(response, between).min()
                 dark = gap > STEP and least < DARK
                 if (turn < _TURN and faced > 0.5 and not dark) or least > _LIT * (1 + cut.any()):
-                    found.append((gap + BEND * turn, i, j))
-        if not found:
+                    joins.append((gap + BEND * turn, i, j))
+        if not joins:
             return lines
-        one, other = (ends[index][:2] for index in min(found)[1:])
+        one, other = (ends[index][:2] for index in min(joins)[1:])
         lines = _united(lines, one, other)
 
 
@@ -310,7 +310,7 @@ def _is_under(lines: list[Line], at: Array, there: Array) -> bool:
     """Tell whether a line passes between two places and near both."""
     for points, closed in lines:
         first, last = (points, np.roll(points, -1, 0)) if closed else (points[:-1], points[1:])
-        near = [np.hypot(*(points - one).T).min() < _COVERED for one in (at, there)]
+        near = [np.hypot(*(points - end).T).min() < _COVERED for end in (at, there)]
         if all(near) and _meet(at, there, first, last).any():
             return True
     return False
@@ -319,8 +319,8 @@ def _is_under(lines: list[Line], at: Array, there: Array) -> bool:
 def _loose_ends(lines: list[Line]) -> list[tuple[int, int, Array, Array]]:
     """Return the loose ends: line, side, place and direction."""
     return [
-        (k, side, *_loose_end(one, side))
-        for k, one in enumerate(lines) if not one.closed for side in (0, 1)
+        (k, side, *_loose_end(line, side))
+        for k, line in enumerate(lines) if not line.closed for side in (0, 1)
     ]  # fmt: skip
 
 

@@ -251,7 +251,7 @@ def _woven(weave: int, turn: Any, u: Any, texture: Array) -> Any:
 def compose(
     picture: Array, strands: Array, visits: Array, square: Array, place: Array, curve: Array,
     after: Array, tangent: Array, along: Array, colours: Array, lamp: Array, weave: int,
-    texture: Array, grown: Any, own: int, dots: Array
+    texture: Array, grown: Any, here: int, dots: Array
 ) -> None:  # fmt: skip
     """Paint both layers and their shadows on a surface.
 
@@ -300,10 +300,10 @@ def compose(
                 colour[i] = lit * picture[row, column, i]
             # where both layers show the same stretch of rope, the nearer one is right
             apart = abs(place[0, row, column] - place[1, row, column])
-            same = max(low, high) < radius + near and min(apart, _F(own) - apart) <= grown
+            same = max(low, high) < radius + near and min(apart, _F(here) - apart) <= grown
             upper = high < low if same else high < radius
             p = place[1, row, column] if upper else place[0, row, column]
-            if min(low, high) < radius and p < own:
+            if min(low, high) < radius and p < here:
                 # edge k leads to visit k, edge 1 passes the base
                 passed = np.searchsorted(visits, p, side="right")
                 strands[row, column] = passed % max(len(visits), 1) + 1

@@ -95,7 +95,7 @@ class Shot(Drawn):
         """What the picture shows: the code of the closed rope, or of all open ones."""
         if not self.ropes:
             return RopesCode.of(self.crossings.code)
-        return find_ropes_crossings([one * (1, -1, 1) for one in self.ropes], False).code
+        return find_ropes_crossings([rope * (1, -1, 1) for rope in self.ropes], False).code
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -144,8 +144,8 @@ class PhotoRope:
     def extent(self, turn: float, scale: float) -> tuple[tuple[float, float], ...]:
         """Return the least and the largest x, and y down, of what is kept in the picture."""
         turned = math.cos(turn) * scale, math.sin(turn) * scale
-        found: tuple[tuple[float, float], ...] = views.extent(self.curve, self.kept, *turned)
-        return found
+        extent: tuple[tuple[float, float], ...] = views.extent(self.curve, self.kept, *turned)
+        return extent
 
 
 class PhotoView:
@@ -186,8 +186,8 @@ class PhotoView:
         kernels.stamp(self.curve, self.after, flags, _reach(radius), self.square, self.place)
         line = self.curve, self.along
         self.inner, self.outer = views.beside(*line, self.seen, self.square, radius)
-        found = views.crossing_pixels(*line, self.sines, self.places, radius, self.size)
-        self.middles, self.spots = found
+        pixels = views.crossing_pixels(*line, self.sines, self.places, radius, self.size)
+        self.middles, self.spots = pixels
 
     def region(self, width: float) -> float:
         """Return the smallest region beside a rope of this width, px; 0 if it isn't legible."""
@@ -251,9 +251,9 @@ class PhotoView:
             for tip in run[[0, -1]]:
                 away = self.away(tip)
                 nearest = np.minimum(nearest, away)
-                own = (owner == k) & (away < 2.5 * width)
+                mine = (owner == k) & (away < 2.5 * width)
                 touched = np.hypot(*(flat - flat[tip]).T) < 1.2 * width + gap
-                if (touched & (owner >= 0) & ~own).any():
+                if (touched & (owner >= 0) & ~mine).any():
                     return False
         # what is half seen at the edge is a rope that leaves there, and doesn't come back at once
         hidden = self.rope.kept & (owner < 0)
@@ -277,7 +277,7 @@ class PhotoView:
         behind = ground[y, x].astype(np.float64)
         lit, shaded = _lab(behind), _lab((1 - 0.55 * look.shadow) * behind)
         apart = [_lengths(rope[:, None] - one) for one in (lit, shaded)]
-        contrast = np.min([_low_of(one) for one in apart], axis=0)
+        contrast = np.min([_low_of(lengths) for lengths in apart], axis=0)
         # where the rope is dark, shadows don't show which strand is over
         limits = self.limits
         fits = (contrast > limits.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * limits.order)
@@ -323,7 +323,7 @@ def ground_of(look: Photo, dots: Ids = ALL) -> tuple[Array, Array, Rng]:
     # a gradient has its middle in the middle of the picture; other patterns begin anywhere
     start = rng.uniform(0, 64, 2) * (look.surface != "gradient") - axes.sum(axis=1) * small / 2
     picture = np.empty((small, small, 3), np.uint8)
-    ends = [np.array(one, np.float32) for one in (look.background, look.ground)]
+    ends = [np.array(colours, np.float32) for colours in (look.background, look.ground)]
     kind = SURFACES.index(look.surface)
     placed = np.column_stack([axes, start]).astype(np.float32)
     kernels.surface(picture, kind, texture, placed, *ends, dots if small == look.size else ALL)
@@ -453,10 +453,10 @@ def _with_others(
     """Lay pieces of other ropes that come in from the picture's edge and touch nothing."""
     curve, after, size, seen = view.curve, view.after, look.size, list[Array]()
     space = 2 * view.radius + 9.0 * view.unit  # between axes, px
-    own = _lab(np.array([look.first], np.float64))
+    first = _lab(np.array([look.first], np.float64))
     for _ in range(look.others):
         dyes = drawn_dyes(rng, 8)
-        dye = dyes[int(np.argmax(np.linalg.norm(_lab(dyes) - own, axis=1) > 15))]
+        dye = dyes[int(np.argmax(np.linalg.norm(_lab(dyes) - first, axis=1) > 15))]
         side, start = rng.integers(4), rng.uniform(0.1, 0.9)
         x, y = ((start, 0.0), (1.0, start), (start, 1.0), (0.0, start))[side]
         bends = np.cumsum(0.3 * rng.uniform(-1, 1, 60)) * 0.3 + rng.uniform(-0.6, 0.6)

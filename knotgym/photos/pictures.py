@@ -83,7 +83,7 @@ def overlay(picture: NDArray[np.uint8], reading: Any) -> NDArray[np.uint8]:
     rows = zip(reading.places, reading.votes, reading.over, strict=True)
     for (x, y), vote, (dx, dy) in rows:
         at, way = np.array([x, y]), 6 * thick * np.array([dx, dy])
-        start, end = (tuple(np.rint(one).astype(int).tolist()) for one in (at - way, at + way))
+        start, end = (tuple(np.rint(place).astype(int).tolist()) for place in (at - way, at + way))
         cv2.line(shown, start, end, (255, 255, 255), 2 * thick, cv2.LINE_AA)
         middle = tuple(np.rint(at).astype(int).tolist())
         colour = _DOUBT if vote < 0.5 else (255, 255, 255)

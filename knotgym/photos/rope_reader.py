@@ -104,13 +104,13 @@ class PhotoReading:
     @property
     def closed(self) -> bool:
         """Whether there is a rope and none has ends."""
-        return bool(self.ropes) and all(one.closed for one in self.ropes)
+        return bool(self.ropes) and all(rope.closed for rope in self.ropes)
 
     @property
     def row(self) -> dict[str, Any]:
         """Everything but lines and places, as JSON has it."""
         names = ("closed", "crossings", "gauss_code", "confidence", "knot")
-        ropes = [{name: getattr(one, name) for name in names} for one in self.ropes]
+        ropes = [{name: getattr(rope, name) for name in names} for rope in self.ropes]
         whole = {"crossings": self.crossings, "closed": self.closed, "reason": self.reason or None}
         return {"ropes": ropes, **whole}
 
@@ -199,7 +199,7 @@ def _best(looks: Sequence[_Look]) -> tuple[PhotoReading, float]:
         The reading, and the chance that it is right.
     """
     pairs = ((i, j) for j in range(len(looks)) for i in range(j))
-    both = next((one for one in pairs if _agree(*(looks[k].reading for k in one))), ())
+    both = next((pair for pair in pairs if _agree(*(looks[k].reading for k in pair))), ())
     late = both not in ((), (0, 1))
     chances = [
         one.chance(one.weakest.min(initial=1.0), k in both, late and k in both)
@@ -269,11 +269,11 @@ def _averaged(network: StrandNetwork, picture: Tensor, views: int) -> Fields:
     Returns:
         Its fields as float32 arrays, with responses in [0, 1] instead of logits.
     """
-    found = []
+    fields = []
     for turns, flip in (divmod(view, 2) for view in range(views)):
         seen = torch.flip(picture, (3,)) if flip else picture
-        found.append(_turned_back(network(torch.rot90(seen, turns, (2, 3))), turns, bool(flip)))
-    mean = Fields(*(torch.stack(part).mean(0)[0] for part in zip(*found, strict=True)))
+        fields.append(_turned_back(network(torch.rot90(seen, turns, (2, 3))), turns, bool(flip)))
+    mean = Fields(*(torch.stack(part).mean(0)[0] for part in zip(*fields, strict=True)))
     mean = mean._replace(lines=torch.sigmoid(mean.lines))
     return Fields(*(part.numpy() for part in mean))
 
@@ -347,10 +347,10 @@ def _reason(loose: Array, shape: Sequence[int], near: float) -> str:
 def _without_loops(line: Line) -> Line:
     """Cut off loops of a line that are too small to be a strand's."""
     points = line.points
-    found = find_ropes_crossings([_flat(line)], line.closed)
+    met = find_ropes_crossings([_flat(line)], line.closed)
     step = np.hypot(*(np.roll(points, -1, 0) - points).T)
     kept = np.ones(len(points), dtype=bool)
-    for first, last in np.sort(np.column_stack([found.over_place, found.under_place])).astype(int):
+    for first, last in np.sort(np.column_stack([met.over_place, met.under_place])).astype(int):
         inside = np.arange(first + 1, last + 1)
         outside = np.arange(last + 1, first + 1 + len(points)) % len(points)
         for loop in (inside, outside) if line.closed else (inside,):
@@ -376,12 +376,12 @@ def _crossed(
         The code of the lines as they are walked; places of the crossings, float64 (n, 2), cells;
         votes for the upper strands, in [0, 1]; and unit vectors along these, float64 (n, 2).
     """
-    found = find_ropes_crossings([_flat(line) for line in lines], [one.closed for one in lines])
+    met = find_ropes_crossings([_flat(line) for line in lines], [chain.closed for chain in lines])
     starts = np.cumsum([0, *(len(line.points) for line in lines)])
-    count, dropped = len(found.sign), set[int]()
+    count, dropped = len(met.sign), set[int]()
     votes, over = np.empty(count), np.empty((count, 2))
-    both = np.stack([found.over_place, found.under_place], axis=1)
-    for k, (x, y) in enumerate(found.position * (1.0, -1.0)):
+    both = np.stack([met.over_place, met.under_place], axis=1)
+    for k, (x, y) in enumerate(met.position * (1.0, -1.0)):
         ways = []
         for place in both[k]:
             owner = int(np.searchsorted(starts, place, "right")) - 1
@@ -398,20 +398,20 @@ def _crossed(
     switched = {k + 1 for k in np.flatnonzero(votes < 0).tolist()}
     walks = [
         [-visit if abs(visit) in switched else visit for visit in walk if abs(visit) not in dropped]
-        for walk in found.code.visits
+        for walk in met.code.visits
     ]
     letters = {
-        k: ("a" if one == "c" else "c") if k in switched else one
-        for k, one in enumerate(found.code.chirality or "", 1)
+        k: ("a" if letter == "c" else "c") if k in switched else letter
+        for k, letter in enumerate(met.code.chirality or "", 1)
     }
     code = GaussCode.relabelled([visit for walk in walks for visit in walk], letters)
     kept = list(dict.fromkeys(abs(visit) for walk in walks for visit in walk))
     rows = np.array(kept, int) - 1
     parts = iter(code.visits)
     visits = tuple(tuple(next(parts) for _ in walk) for walk in walks)
-    whole = RopesCode(visits, tuple(one.closed for one in lines), code.chirality)
+    whole = RopesCode(visits, tuple(chain.closed for chain in lines), code.chirality)
     sure = np.minimum(np.abs(votes[rows]), 1.0)
-    return whole, found.position[rows] * (1.0, -1.0), sure, over[rows]
+    return whole, met.position[rows] * (1.0, -1.0), sure, over[rows]
 
 
 def _doubled(line: Line, place: int) -> Array:

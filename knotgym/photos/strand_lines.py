@@ -65,13 +65,13 @@ def lines_in(fields: NDArray[np.float32], frame: Array) -> list[Line]:
     for loose in (False, True):
         partner, paid = _link(points, response, frame, loose)
         _exchange(points, partner, paid)
-        chains = [one for one in _chains(points, partner) if len(one.points) >= _STUB]
-        if sum(len(one.points) for one in chains if one.closed) >= _WHOLE * len(points):
+        chains = [chain for chain in _chains(points, partner) if len(chain.points) >= _STUB]
+        if sum(len(chain.points) for chain in chains if chain.closed) >= _WHOLE * len(points):
             break
-    lines = [one for one in chains if _is_rope(one, response, frame)]
+    lines = [chain for chain in chains if _is_rope(chain, response, frame)]
     lines = mended(lines, response, frame)
-    lines = [smooth(one_way(one, response)) for one in lines]
-    return sorted(lines, key=lambda one: -len(one.points))
+    lines = [smooth(one_way(line, response)) for line in lines]
+    return sorted(lines, key=lambda line: -len(line.points))
 
 
 def _is_rope(line: Line, response: NDArray[np.float32], frame: Array) -> bool:
@@ -92,7 +92,7 @@ def _ridge_points(lines: NDArray[np.float32]) -> Array:
         float64 (n, 4): x, y, direction in radians, and response.
     """
     count, h, w = lines.shape
-    found = np.empty((_MOST, 4))
+    pixels = np.empty((_MOST, 4))
     n = 0
     for k in range(count):
         angle = k * np.pi / count
@@ -110,29 +110,29 @@ def _ridge_points(lines: NDArray[np.float32]) -> Array:
                 aside = 0.5 * (right - left) / max(2 * here - left - right, 1e-6)
                 less, more = lines[k - 1, row, column], lines[(k + 1) % count, row, column]
                 turn = 0.5 * (more - less) / max(2 * here - less - more, 1e-6)
-                found[n, 0] = column + min(max(aside, -0.5), 0.5) * across_x
-                found[n, 1] = row + min(max(aside, -0.5), 0.5) * across_y
-                found[n, 2] = angle + min(max(turn, -0.5), 0.5) * np.pi / count
-                found[n, 3] = here
+                pixels[n, 0] = column + min(max(aside, -0.5), 0.5) * across_x
+                pixels[n, 1] = row + min(max(aside, -0.5), 0.5) * across_y
+                pixels[n, 2] = angle + min(max(turn, -0.5), 0.5) * np.pi / count
+                pixels[n, 3] = here
                 n += 1
-    found = found[:n]
-    found = found[np.argsort(-found[:, 3])]
+    pixels = pixels[:n]
+    pixels = pixels[np.argsort(-pixels[:, 3])]
     kept = np.empty(n, np.int64)
     m = 0
     for i in range(n):
         new = True
         for j in range(m):
             k = kept[j]
-            dx, dy = found[i, 0] - found[k, 0], found[i, 1] - found[k, 1]
+            dx, dy = pixels[i, 0] - pixels[k, 0], pixels[i, 1] - pixels[k, 1]
             if dx * dx + dy * dy < _NEAR * _NEAR:
-                off = abs(found[i, 2] - found[k, 2]) % np.pi
+                off = abs(pixels[i, 2] - pixels[k, 2]) % np.pi
                 if min(off, np.pi - off) < _ALIKE:
                     new = False
                     break
         if new:
             kept[m] = i
             m += 1
-    return found[kept[:m]]
+    return pixels[kept[:m]]
 
 
 @inner
@@ -319,7 +319,7 @@ def _chains(points: Array, partner: Ids) -> list[Line]:
     """Return the chains of linked points."""
     order, stops = _follow(partner)
     parts = np.split(points[order, :2], np.abs(stops)[:-1])
-    return [Line(own, stop < 0) for own, stop in zip(parts, stops.tolist(), strict=False)]
+    return [Line(part, stop < 0) for part, stop in zip(parts, stops.tolist(), strict=False)]
 
 
 @inner

@@ -305,14 +305,14 @@ def crossing_pixels(
 @kernel
 def distinct(pixels: Ids, size: int) -> Ids:
     """Leave out pixels, int64 (n, 2), that came before."""
-    known, found, count = np.zeros((size, size), np.bool_), np.empty_like(pixels), 0
+    known, reached, count = np.zeros((size, size), np.bool_), np.empty_like(pixels), 0
     for k in range(len(pixels)):
         column, row = pixels[k, 0], pixels[k, 1]
         if not known[row, column]:
             known[row, column] = True
-            found[count, 0], found[count, 1] = column, row
+            reached[count, 0], reached[count, 1] = column, row
             count += 1
-    return found[:count]
+    return reached[:count]
 
 
 @kernel
@@ -324,16 +324,16 @@ def shape(curve: Array, after: Array) -> tuple[Array, Array]:
         curve: float32 (n, 3), px.
         after: int64 (n,), the point that each piece leads to; k itself for no piece.
     """
-    n, length, one = len(curve), np.empty(len(curve) + 1), np.empty(3, np.float32)
+    n, length, step = len(curve), np.empty(len(curve) + 1), np.empty(3, np.float32)
     tangent, total = np.zeros((n, 3), np.float32), _F(0)
     length[0] = 0.0
     for k in range(n):
         j = after[k]
         for axis in range(3):
-            one[axis] = curve[j, axis] - curve[k, axis]
-            tangent[k, axis] += one[axis]
-            tangent[j, axis] += one[axis]
-        total += np.sqrt(one[0] * one[0] + one[1] * one[1] + one[2] * one[2])
+            step[axis] = curve[j, axis] - curve[k, axis]
+            tangent[k, axis] += step[axis]
+            tangent[j, axis] += step[axis]
+        total += np.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
         length[k + 1] = total
     for k in range(n):
         x, y, z = tangent[k]

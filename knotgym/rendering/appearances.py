@@ -50,7 +50,7 @@ class AppearanceKind:
     @cached_property
     def own_columns(self) -> list[dict[str, Any]]:
         """The columns of each file: name -> type and doc."""
-        places = [one.split(":") for one in self.columns]
+        places = [column.split(":") for column in self.columns]
         return [
             tomllib.loads((files(package) / file).read_text("utf-8")) for package, file in places
         ]

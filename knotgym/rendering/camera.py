@@ -68,7 +68,7 @@ CAMERAS = {
 
 def _camera_help() -> str:
     """Return the help of a setting that names a camera."""
-    return f"{', '.join(f'{name} ({one.says})' for name, one in CAMERAS.items())}."
+    return f"{', '.join(f'{name} ({value.says})' for name, value in CAMERAS.items())}."
 
 
 CameraName = Annotated[str, choice(growing=CAMERAS, help=_camera_help)]

@@ -191,7 +191,7 @@ class Drawer:
         if "zoom" in vary:
             # a rope larger than the range allows for is shown as large as fits
             most = _largest_zoom(points, turn, width)
-            zoom = _varied("zoom", *(min(one, most) for one in config.zoom))
+            zoom = _varied("zoom", *(min(bound, most) for bound in config.zoom))
         kind = self.colours
         if "colours" in vary:
             kind = ("published", "single", "gradient")[int(rng.integers(3))]
@@ -250,9 +250,9 @@ class Drawer:
         own = [row[name] for name in ("appearance", *self.structs) if name in row]
         values = {name: value for one in own for name, value in one.items()}
         given: dict[str, Any] = {
-            one.name: tuple(value) if isinstance(value := values[one.name], list) else value
-            for one in fields(self.look)
-            if one.name in values
+            field.name: tuple(value) if isinstance(value := values[field.name], list) else value
+            for field in fields(self.look)
+            if field.name in values
         }
         return self.look(**given)
 

@@ -230,7 +230,9 @@ class ActionView:
         """
         size, whole = actions.shape[-1], actions.dtype.kind in "iu"
         fits = [
-            name for name, one in VIEWS.items() if (one.size, bool(one.counts)) == (size, whole)
+            name
+            for name, value in VIEWS.items()
+            if (value.size, bool(value.counts)) == (size, whole)
         ]
         if len(fits) != 1:
             views = f"may be of the views {', '.join(fits)}" if fits else "are of no view"
@@ -250,19 +252,19 @@ def _pull(view: ActionView, ids: Ids) -> Pull:
 
 
 def _pull_seen(frames: Any, taken: Taken, actions: Actions) -> dict[str, Actions]:
-    points, found = taken.points, actions.astype(np.float64)
-    beads = nearest_beads(points, taken.reach * found[:, :3])
-    found[:, :3] = frames.places(beads, points) / taken.reach
-    found[:, 3:] = frames.vectors(found[:, 3:])
-    return {"actions": found.clip(-1, 1).astype(np.float32)}
+    points, turned = taken.points, actions.astype(np.float64)
+    beads = nearest_beads(points, taken.reach * turned[:, :3])
+    turned[:, :3] = frames.places(beads, points) / taken.reach
+    turned[:, 3:] = frames.vectors(turned[:, 3:])
+    return {"actions": turned.clip(-1, 1).astype(np.float32)}
 
 
 def _pull_to_world(frames: Any, actions: Array, points: Array, reach: float) -> Actions:
-    found, rows = actions.copy(), np.arange(len(actions))
-    found[:, 3:] = frames.vectors(found[:, 3:], back=True)
-    beads = nearest_beads(frames.points(points), reach * found[:, :3])
-    found[:, :3] = points[rows, frames.renumber(beads, points.shape[1])] / reach
-    return found.clip(-1, 1).astype(np.float32)
+    world, rows = actions.copy(), np.arange(len(actions))
+    world[:, 3:] = frames.vectors(world[:, 3:], back=True)
+    beads = nearest_beads(frames.points(points), reach * world[:, :3])
+    world[:, :3] = points[rows, frames.renumber(beads, points.shape[1])] / reach
+    return world.clip(-1, 1).astype(np.float32)
 
 
 def _pull_image(symmetries: Any, actions: Actions, beads: int) -> Actions:
@@ -337,8 +339,8 @@ def _decision_begin(view: ActionView, ids: Ids) -> None:
 
 def _decision_pull(view: ActionView, ids: Ids) -> Pull:
     forces = view.actions[ids, _OF_PULLS].reshape(len(ids), LONGEST, 3)
-    own = quantized(forces[np.arange(len(ids)), view.pulls[ids]])
-    return view.actions[ids, 0].astype(np.int64), own.astype(np.float32)
+    size = quantized(forces[np.arange(len(ids)), view.pulls[ids]])
+    return view.actions[ids, 0].astype(np.int64), size.astype(np.float32)
 
 
 def _decision_seen(frames: Any, taken: Taken, actions: Actions) -> dict[str, Actions]:
@@ -358,13 +360,13 @@ def _decision_seen(frames: Any, taken: Taken, actions: Actions) -> dict[str, Act
 
 
 def _decision_to_world(frames: Any, actions: Array, points: Array, reach: float) -> Actions:
-    found, rows = actions.copy(), np.arange(len(actions))
-    forces = frames.vectors(found[:, _OF_PULLS].reshape(len(found), LONGEST, 3), back=True)
-    found[:, _OF_PULLS] = forces.reshape(len(found), -1)
-    beads = nearest_beads(frames.points(points), NEAR * found[:, :3])
-    own = points[rows, frames.renumber(beads, points.shape[1])]
-    found[:, :3] = (own - frames.centres) / NEAR
-    return found.clip(-1, 1).astype(np.float32)
+    world, rows = actions.copy(), np.arange(len(actions))
+    forces = frames.vectors(world[:, _OF_PULLS].reshape(len(world), LONGEST, 3), back=True)
+    world[:, _OF_PULLS] = forces.reshape(len(world), -1)
+    beads = nearest_beads(frames.points(points), NEAR * world[:, :3])
+    pulled = points[rows, frames.renumber(beads, points.shape[1])]
+    world[:, :3] = (pulled - frames.centres) / NEAR
+    return world.clip(-1, 1).astype(np.float32)
 
 
 VIEWS = Kinds(

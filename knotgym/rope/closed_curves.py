@@ -59,8 +59,8 @@ def _close(along: Array) -> None:
         for i in range(beads):
             for r in range(3):
                 for c in range(r, 3):
-                    one = 1.0 if r == c else 0.0
-                    m[r, c] += (one - unit[i, r] * unit[i, c]) / norm[i]
+                    identity = 1.0 if r == c else 0.0
+                    m[r, c] += (identity - unit[i, r] * unit[i, c]) / norm[i]
         m[1, 0], m[2, 0], m[2, 1] = m[0, 1], m[0, 2], m[1, 2]
         _add_solution(m, shift)
     for i in range(beads):
@@ -80,7 +80,7 @@ def _turned(points: Array, units: Array, lengths: Array, drawn: Array) -> Array:
             shift.
     """
     n, beads = len(drawn), points.shape[1]
-    out, own = np.empty((n, beads, 3)), np.empty((beads, 3))
+    out, curve = np.empty((n, beads, 3)), np.empty((beads, 3))
     for chain in range(n):
         row = chain % len(units)
         given, moved = units[row], out[chain]
@@ -90,32 +90,32 @@ def _turned(points: Array, units: Array, lengths: Array, drawn: Array) -> Array:
             total = mean = 0.0
             for i in range(beads):
                 total += drawn[chain, i, c]
-                own[i, c] = total
+                curve[i, c] = total
             # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
             for i in range(beads):
-                own[i, c] -= (i + 1) / beads * total
-                mean += own[i, c]
+                curve[i, c] -= (i + 1) / beads * total
+                mean += curve[i, c]
             # the mean rotation is the whole rope's: take it out, and only the one drawn is left
             whole = drawn[chain, beads, c] - mean / beads
             for i in range(beads):
-                own[i, c] += whole
+                curve[i, c] += whole
         for i in range(beads):  # Rodrigues' formula
-            x, y, z = own[i, 0], own[i, 1], own[i, 2]
+            x, y, z = curve[i, 0], curve[i, 1], curve[i, 2]
             angle = np.sqrt(x * x + y * y + z * z)
             cosine, sine, size = math.cos(angle), math.sin(angle), max(angle, 1e-100)
             x, y, z = x / size, y / size, z / size
             u, v, w = given[i, 0], given[i, 1], given[i, 2]
             share = x * u + y * v + z * w
             e, f, g = x * share, y * share, z * share
-            own[i, 0] = e + (u - e) * cosine + (y * w - z * v) * sine
-            own[i, 1] = f + (v - f) * cosine + (z * u - x * w) * sine
-            own[i, 2] = g + (w - g) * cosine + (x * v - y * u) * sine
-        _close(own)
+            curve[i, 0] = e + (u - e) * cosine + (y * w - z * v) * sine
+            curve[i, 1] = f + (v - f) * cosine + (z * u - x * w) * sine
+            curve[i, 2] = g + (w - g) * cosine + (x * v - y * u) * sine
+        _close(curve)
         for c in range(3):
             middle = mean = before = 0.0
             for i in range(beads):
                 moved[i, c] = before * lengths[row]
-                before, mean = before + own[i, c], mean + moved[i, c]
+                before, mean = before + curve[i, c], mean + moved[i, c]
                 middle += points[row, i, c]
             for i in range(beads):
                 moved[i, c] = moved[i, c] - mean / beads + middle / beads + drawn[chain, -1, c]
@@ -362,7 +362,7 @@ def start_qpos(
     # a writable array, because numba would compile kernels again for a read-only one
     writable = np.require(points, np.float64, ["C", "W"])
     if least is None:
-        least = [rope.least_clearance(one) for one in writable]
+        least = [rope.least_clearance(curve) for curve in writable]
     bound = np.asarray(least, dtype=np.float64)
     # All ropes that are left draw at once, but each from its own generator: how often one is
     # refused changes nothing for the others.

@@ -155,11 +155,11 @@ def _is_compiled(engine: str) -> bool:
     return all(
         # a cache's files are named by module and function
         any(
-            Path(one.stats.cache_path).glob(
-                f"{one.__module__.rpartition('.')[2]}.{one.__name__}-*.nbi"
+            Path(kernel.stats.cache_path).glob(
+                f"{kernel.__module__.rpartition('.')[2]}.{kernel.__name__}-*.nbi"
             )
         )
-        for one in kernels
+        for kernel in kernels
     )
 
 

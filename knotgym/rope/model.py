@@ -149,8 +149,8 @@ class RopeConfig:
 
     def unlike(self, fingerprint: object) -> str:
         """Say how the rope that something was made with differs; "" if it has this fingerprint."""
-        own = self.fingerprint
-        return f"rope model {fingerprint}, this version has {own}" if fingerprint != own else ""
+        mine = self.fingerprint
+        return f"rope model {fingerprint}, this version has {mine}" if fingerprint != mine else ""
 
 
 class Rope:
@@ -428,7 +428,7 @@ def _forward(
     beads = len(order)
     world = np.empty((beads, 4))
     axis = np.empty((beads, 3))
-    turned, own = np.empty(4), np.empty(4)
+    turned, joint = np.empty(4), np.empty(4)
     for row in range(len(qpos)):
         q = qpos[row]
         for k in range(beads):
@@ -441,8 +441,8 @@ def _forward(
                 # world = parent's world * rest * ball joint; MuJoCo normalizes the joint's
                 # quaternion before use, and so must we
                 _multiply(world[up], rest[bead], turned)
-                _unit(q[a : a + 4], own)
-                _multiply(turned, own, world[bead])
+                _unit(q[a : a + 4], joint)
+                _multiply(turned, joint, world[bead])
             # a bead lies along its body's x axis: the first column of the rotation matrix
             w, x, y, z = world[bead, 0], world[bead, 1], world[bead, 2], world[bead, 3]
             axis[bead, 0] = length * (1 - 2 * (y * y + z * z))

@@ -138,9 +138,9 @@ def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts:
     Returns:
         The largest number of crossings.
     """
-    most, width, one = 0, signs.shape[1], _one(points.shape[1])
+    most, width, shape = 0, signs.shape[1], _one(points.shape[1])
     for rope in range(points.shape[0]):
-        finite, walked, table, _ = scan_curves(points[rope], *one)
+        finite, walked, table, _ = scan_curves(points[rope], *shape)
         nx = len(table)
         counts[rope] = nx if finite else -1
         most = max(most, nx)

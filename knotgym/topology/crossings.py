@@ -117,8 +117,8 @@ class Crossings(_Table):
         beyond = len(places) - np.searchsorted(places, np.where(back == 0, beads, back), "right")
         passed = np.where(symmetries.reverse, beyond, np.searchsorted(places, start))
         each = symmetries.switch, symmetries.reverse, passed % max(len(places), 1)
-        found: list[str] = _texts_after(self.code.plain)[tuple(map(np.int64, each))].tolist()
-        return found
+        texts: list[str] = _texts_after(self.code.plain)[tuple(map(np.int64, each))].tolist()
+        return texts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,9 +136,11 @@ class RopesCrossings(_Table):
 def _texts_after(code: GaussCode) -> NDArray[np.object_]:
     """Write a code after each symmetry: objects, by switch, reverse, and visits that are passed."""
     # a reflection changes letters alone
-    sides = [[one, one.reversed()] for one in (code, code.switched())]
+    sides = [[oriented, oriented.reversed()] for oriented in (code, code.switched())]
     starts = range(max(len(code.visits), 1))
-    texts = [[[str(one.rebased(start)) for start in starts] for one in side] for side in sides]
+    texts = [
+        [[str(turned.rebased(start)) for start in starts] for turned in side] for side in sides
+    ]
     return np.array(texts, dtype=object)
 
 
@@ -174,8 +176,8 @@ def find_ropes_crossings(
         raise InvalidInput(
             f"{len(ropes)} ropes, and whether {len(each)} are closed; expected one or more, and all"
         )
-    checked = [_checked(one, 2, shut) for one, shut in zip(ropes, each, strict=True)]
-    ends = np.cumsum([len(one) for one in checked])
+    checked = [_checked(rope, 2, shut) for rope, shut in zip(ropes, each, strict=True)]
+    ends = np.cumsum([len(rope) for rope in checked])
     visits, table, owners = _scan(np.concatenate(checked), (ends, np.array(each)))
     stops = np.searchsorted(owners, ends).tolist()
     walk = [tuple(visits[i:j].tolist()) for i, j in zip([0, *stops], stops, strict=False)]
@@ -330,8 +332,8 @@ def _code(visits: bytes, signs: bytes | None) -> GaussCode:
     if signs is None:
         return GaussCode.trusted(walk, None if walk else "")
     # signs are padded, too; a code of n visits has n / 2 of them
-    own = np.frombuffer(signs, dtype=np.int8)[: len(walk) // 2]
-    return GaussCode.trusted(walk, GaussCode.letters_of(own.tolist()))
+    senses = np.frombuffer(signs, dtype=np.int8)[: len(walk) // 2]
+    return GaussCode.trusted(walk, GaussCode.letters_of(senses.tolist()))
 
 
 @lru_cache(maxsize=2**14)

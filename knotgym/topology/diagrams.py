@@ -49,8 +49,8 @@ def with_chirality(code: GaussCode) -> GaussCode:
     if code.chirality is not None:
         if _is_sphere(face_permutation(code)):
             return code
-    elif (found := _planar_turns(code)) is not None:
-        part, signs = found[0], _signs(code.visits, found[1])
+    elif (turned := _planar_turns(code)) is not None:
+        part, signs = turned[0], _signs(code.visits, turned[1])
         # flip each part so that its first letter is "a"
         flips = {number: -signs[part.index(number)] for number in set(part)}
         return GaussCode(
@@ -70,10 +70,10 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
     >>> chiralities(GaussCode.parse("1+,2-,3+,1-,2+,3-"))
     ('aaa', 'ccc')
     """
-    found = _planar_turns(code)
-    if found is None:
+    turned = _planar_turns(code)
+    if turned is None:
         return ()
-    part, turns = found
+    part, turns = turned
     patterns = []
     # Components may be flipped independently, so there are 2 ** parts patterns.
     for flips in product((1, -1), repeat=max(part, default=-1) + 1):  # one per part
@@ -214,7 +214,7 @@ def _is_sphere(permutation: list[int]) -> bool:
 def cycles(permutation: list[int]) -> list[list[int]]:
     """List the cycles of a permutation, in order of their first members."""
     seen = [False] * len(permutation)
-    found = []
+    walks = []
     for dart in range(len(permutation)):
         cycle = []
         while not seen[dart]:
@@ -222,8 +222,8 @@ def cycles(permutation: list[int]) -> list[list[int]]:
             cycle.append(dart)
             dart = permutation[dart]
         if cycle:
-            found.append(cycle)
-    return found
+            walks.append(cycle)
+    return walks
 
 
 def _interlacement(positions: list[list[int]]) -> list[set[int]]:

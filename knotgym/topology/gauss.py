@@ -303,7 +303,9 @@ class RopesCode:
         >>> RopesCode.parse("1+,2-;2+,1-").texts
         ['1+,2-', '2+,1-']
         """
-        return [",".join([f"{abs(v)}{'+' if v > 0 else '-'}" for v in one]) for one in self.visits]
+        return [
+            ",".join([f"{abs(v)}{'+' if v > 0 else '-'}" for v in visit]) for visit in self.visits
+        ]
 
     @property
     def nx(self) -> int:
@@ -327,10 +329,10 @@ class RopesCode:
         if not self.closed[k]:
             expected = "only a closed curve has a Gauss code that starts anywhere, and a knot type"
             raise invalid_code(f"curve {k + 1} is open", self.texts[k], expected)
-        own = {*self.visits[k]}
+        mine = {*self.visits[k]}
         letters = self.chirality
         return GaussCode.relabelled(
-            [visit for visit in self.visits[k] if -visit in own],
+            [visit for visit in self.visits[k] if -visit in mine],
             None if letters is None else dict(enumerate(letters, 1)),
         )
 
@@ -343,12 +345,15 @@ class RopesCode:
         letters = self.chirality
         if letters is not None:
             # only where this curve crosses another: both strands of its own crossings turn round
-            own = {*map(abs, self.visits[k])} - {
+            labels = {*map(abs, self.visits[k])} - {
                 abs(v) for v in self.visits[k] if -v in self.visits[k]
             }
             turned = {"a": "c", "c": "a"}
             letters = "".join(
-                [turned[one] if label in own else one for label, one in enumerate(letters, 1)]
+                [
+                    turned[letter] if label in labels else letter
+                    for label, letter in enumerate(letters, 1)
+                ]
             )
         visits = [*self.visits]
         visits[k] = visits[k][::-1]
@@ -366,11 +371,11 @@ class RopesCode:
         best = [self]
         for k in range(len(self.visits)):
             # labels of a curve depend on those before it alone, so only the smallest are followed
-            starts = best if ordered else [one for code in best for one in code._brought(k)]
-            found = {code: (code.closed[: k + 1], code.visits[: k + 1])
+            starts = best if ordered else [rebased for code in best for rebased in code._brought(k)]
+            begins = {code: (code.closed[: k + 1], code.visits[: k + 1])
                      for start in starts for code in start._walks(k)}  # fmt: skip
-            least = min(found.values())
-            best = [code for code, begin in found.items() if begin == least]
+            least = min(begins.values())
+            best = [code for code, begin in begins.items() if begin == least]
         return min(best, key=lambda code: code.chirality or "")
 
     def _brought(self, k: int) -> Iterator[RopesCode]:
@@ -383,10 +388,10 @@ class RopesCode:
     def _walks(self, k: int) -> Iterator[RopesCode]:
         """Yield the codes with curve k walked both ways and, if it is closed, from every place."""
         for code in (self, self.reversed(k)):
-            own = code.visits[k]
-            for start in range(max(len(own), 1) if self.closed[k] else 1):
+            walk = code.visits[k]
+            for start in range(max(len(walk), 1) if self.closed[k] else 1):
                 visits = [*code.visits]
-                visits[k] = own[start:] + own[:start]
+                visits[k] = walk[start:] + walk[:start]
                 yield code._relabelled(visits, code.chirality)
 
     def _relabelled(self, visits: Sequence[tuple[int, ...]], letters: str | None) -> RopesCode:
@@ -427,7 +432,7 @@ def _check_visits(visits: Sequence[int], given: object = None) -> None:
         raise invalid_code("its labels are out of order", given, expected)
     if not len(visits) == len({*visits}) == 2 * len(numbers):
         counts = ((k, visits.count(k), visits.count(-k)) for k in numbers)
-        label, over, under = next(one for one in counts if one[1:] != (1, 1))
+        label, over, under = next(count for count in counts if count[1:] != (1, 1))
         problem = f"crossing {label} is visited {over} times over and {under} under"
         raise invalid_code(problem, given, "expected once over (+) and once under (-)")
 

@@ -87,9 +87,9 @@ def knot_type(code: GaussCode) -> str:
     names: list[str] = []
     for summand in summands(without_bigons(with_chirality(code))):
         # a diagram in the table is minimal, so don't search for a smaller one
-        own = _table_type(summand) if summand.nx > _SMALL else None
-        if own:
-            names.append(own)
+        type_name = _table_type(summand) if summand.nx > _SMALL else None
+        if type_name:
+            names.append(type_name)
         else:
             for part in summands(simplify(summand)):
                 names.extend(_name(part).split("#"))
@@ -135,8 +135,8 @@ class Knot(NamedTuple):
         """
         # seen from below, every crossing is switched and the picture is reflected
         sides, rebased = _diagram_of(self.name), Symmetry.REVERSE | Symmetry.REBASE
-        found = {*images(sides, rebased), *images(sides.switched().reflected(), rebased)}
-        return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
+        closures = {*images(sides, rebased), *images(sides.switched().reflected(), rebased)}
+        return sorted(closures, key=lambda image: (image.visits, image.chirality or ""))
 
     def is_shown_by(self, code: GaussCode) -> bool:
         """Return whether a planar code is of this knot and, if it has chirality, of its handedness.
@@ -210,10 +210,10 @@ def _prime_diagrams() -> dict[str, GaussCode]:
 
 @lru_cache(maxsize=256)
 def _diagram_of(knot: str) -> GaussCode:
-    found = [
+    factors = [
         (mirror, _prime_diagrams()[name]) for mirror, name in _summands(knot) if name != UNKNOT
     ]
-    return connected_sum([code.switched() if mirror else code for mirror, code in found])
+    return connected_sum([code.switched() if mirror else code for mirror, code in factors])
 
 
 def _composite_type(types: list[str]) -> str:
@@ -249,7 +249,7 @@ def _types_from_polynomials(code: GaussCode) -> list[str]:
     types = [
         name
         for name in _types_by_polynomials().get(_polynomials(code), ())
-        if sum(_rank(one)[0] for one in name.split("#")) <= code.nx
+        if sum(_rank(part)[0] for part in name.split("#")) <= code.nx
     ]
     if is_alternating(code):
         # A reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987), and
@@ -284,7 +284,7 @@ def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
 
     The Jones polynomial is taken up to the mirror image.
     """
-    found: dict[Polynomials, dict[str, None]] = defaultdict(dict)
+    named: dict[Polynomials, dict[str, None]] = defaultdict(dict)
     for names in _sums():
         diagrams = [_prime_diagrams()[name] for name in names]
         # the Jones polynomial of a sum depends on the relative handedness of its summands
@@ -293,8 +293,8 @@ def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
         for mirrors in product((False, True), repeat=len(names) - 1):
             pairs = zip(diagrams, (False, *mirrors), strict=True)
             sum_ = connected_sum([code.switched() if mirror else code for code, mirror in pairs])
-            found[_polynomials(sum_)][_composite_type(list(names))] = None
-    return {polynomials: tuple(types) for polynomials, types in found.items()}
+            named[_polynomials(sum_)][_composite_type(list(names))] = None
+    return {polynomials: tuple(types) for polynomials, types in named.items()}
 
 
 def _sums() -> Iterator[tuple[str, ...]]:
@@ -318,7 +318,7 @@ def _polynomials(code: GaussCode) -> Polynomials:
 
 def _summands(knot: str) -> list[tuple[bool, str]]:
     """Parse a name; return for each summand whether it is mirrored, and its type."""
-    found = []
+    factors = []
     for word in knot.split("#"):
         match = _SUMMAND.fullmatch(word)
         if match is None or (match[2] != UNKNOT and match[2] not in _prime_diagrams()):
@@ -326,8 +326,8 @@ def _summands(knot: str) -> list[tuple[bool, str]]:
                 f"no knot {knot!r}; there are 0_1, the prime knots of up to {TABLED} crossings from"
                 " 3_1 to 10_165, mirror images (m3_1), and sums (3_1#4_1)"
             )
-        found.append((bool(match[1]), match[2]))
-    return found
+        factors.append((bool(match[1]), match[2]))
+    return factors
 
 
 def _rank(name: str) -> tuple[int, int]:

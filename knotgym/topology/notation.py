@@ -190,7 +190,7 @@ def _followed(
         walk.append(visit)
         leaves = visit[0], (visit[1] + 2) % 4
         edge = ends[crossings[leaves[0]][leaves[1]]]
-        onwards = [one for one in edge if one != leaves]
+        onwards = [corner for corner in edge if corner != leaves]
         if not onwards or onwards[0] == start:
             return walk, bool(onwards)
         visit = onwards[0]
@@ -268,7 +268,7 @@ def _parse_code(text: str) -> GaussCode:
     tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", tight)
     tight = re.sub(r"\s+", ",", tight)
     # a list that was cut off may be that of another code
-    is_whole = all(tight.count(one) <= tight.count(end) for one, end in ("[]", "()"))
+    is_whole = all(tight.count(start) <= tight.count(end) for start, end in ("[]", "()"))
     for pattern, read in _READERS if is_whole else ():
         if pattern.fullmatch(tight) and (code := read(tight, text)) is not None:
             return code
@@ -321,7 +321,9 @@ def parse_ropes(text: str, closed: bool | Sequence[bool] = True) -> RopesCode:
         raise invalid_code("it can't be read", text, expected)
     if tight[:1] in ("O", "o", "U", "u"):
         tight = _OVER_UNDER.sub(
-            lambda own: f"{own[2]}{'+' if own[1] in 'Oo' else '-'}{_LETTERS.get(own[3], '')},",
+            lambda match: (
+                f"{match[2]}{'+' if match[1] in 'Oo' else '-'}{_LETTERS.get(match[3], '')},"
+            ),
             tight,
         )
     return RopesCode.parse(tight.replace(",;", ";").rstrip(","), closed)

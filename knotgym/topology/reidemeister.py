@@ -44,7 +44,7 @@ def simplify(code: GaussCode) -> GaussCode:
     0
     """
     return connected_sum(
-        [_fewest_crossings(one) for one in summands(without_bigons(with_chirality(code)))]
+        [_fewest_crossings(summand) for summand in summands(without_bigons(with_chirality(code)))]
     )
 
 
@@ -178,15 +178,15 @@ def _liftable_stretches(
     # The stretch grows visit by visit. Passing over a strand is always allowed; passing under is
     # allowed if the strand above belongs to the stretch, because it is lifted first.
     met: set[int] = set()
-    found: list[tuple[int, frozenset[int]]] = []
+    stretches: list[tuple[int, frozenset[int]]] = []
     for length in range(1, len(visits) + 1):
         visit = visits[(start + length - 1) % len(visits)]
         if visit > 0:
             met.add(visit)
         elif -visit not in met:  # under a strand that doesn't belong to the stretch
             break
-        found.append((length, frozenset(met)))
-    return found[-1:] if whole else found
+        stretches.append((length, frozenset(met)))
+    return stretches[-1:] if whole else stretches
 
 
 def _relaid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iterator[GaussCode]:

@@ -103,9 +103,9 @@ def images(code: GaussCode, symmetries: int = Symmetry.MOTIONS) -> tuple[GaussCo
     if symmetries & Symmetry.REVERSE:
         members += [member.reversed() for member in members]
     if symmetries & Symmetry.SWITCH:
-        members = [one for member in members for one in (member, member.switched())]
+        members = [image for member in members for image in (member, member.switched())]
     if symmetries & Symmetry.REFLECT:
-        members = [one for member in members for one in (member, member.reflected())]
+        members = [image for member in members for image in (member, member.reflected())]
     return tuple(members)
 
 
@@ -122,4 +122,4 @@ def canonical(code: GaussCode, symmetries: int = Symmetry.MOTIONS) -> GaussCode:
     >>> str(canonical(GaussCode.parse("1-,2+,2-,1+"), Symmetry.DIAGRAM))
     '1-,1+,2-,2+'
     """
-    return min(images(code, symmetries), key=lambda one: (one.visits, one.chirality or ""))
+    return min(images(code, symmetries), key=lambda image: (image.visits, image.chirality or ""))

@@ -201,8 +201,8 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
     # Twist is in qpos alone and not in the vertices, so MuJoCo's kinematics say how each bead is
     # turned. They are written out: MuJoCo itself rounds products of quaternions by processor.
     model, at = rope.model, np.zeros((len(qpos), rope.model.nbody, 4))
-    own = model.jnt_qposadr + np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE, 3, 0)
-    turns = _unit(qpos[:, own[:, None] + np.arange(4)])  # of joint k, the one of body k + 1
+    places = model.jnt_qposadr + np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE, 3, 0)
+    turns = _unit(qpos[:, places[:, None] + np.arange(4)])  # of joint k, the one of body k + 1
     depth = np.zeros(model.nbody, dtype=np.int64)
     for body in range(1, model.nbody):
         depth[body] = depth[model.body_parentid[body]] + 1
@@ -265,6 +265,6 @@ def _quaternions(axes: Array) -> Array:
     # The four numbers 4 q_i^2 sum to 4, so the largest is at least 1, and the row that is divided
     # by its norm, 4 |q_i|, by 2 at least: that amplifies no rounding.
     best = np.argmax(square, axis=0)
-    found = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
-    unit: Array = found / np.linalg.norm(found, axis=-1, keepdims=True)
+    directed = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
+    unit: Array = directed / np.linalg.norm(directed, axis=-1, keepdims=True)
     return unit

@@ -75,11 +75,11 @@ def list_pairs(middle: Array, within: float, pairs: Pairs) -> None:
     n, count, bound = len(middle), 0, within * within
     for i in range(n):
         start[i] = count
-        own = vector(middle, i)
+        here = vector(middle, i)
         # Every pair once. The last edges are near the first along the loop, so for i < _NEXT the
         # range ends before those that are within _NEXT of i on the other side.
         for j in range(i + _NEXT, n if i >= _NEXT else n - _NEXT + 1 + i):
-            apart = minus(vector(middle, j), own)
+            apart = minus(vector(middle, j), here)
             if any_below(dot(apart, apart), bound):
                 other[count] = j
                 count += 1
@@ -126,7 +126,7 @@ def find_rows(
     physics: Physics,
     motion: Array,
     rows: Array,
-    found: Ids,
+    counts: Ids,
 ) -> None:
     """Find the pairs of edges that would overlap at the end of the substep.
 
@@ -145,22 +145,22 @@ def find_rows(
     touch, length = 2.0 * physics.radius, physics.length
     spot = np.empty((8, LANES))
     _vertex_most(v, motion)
-    found[:] = 0
+    counts[:] = 0
     close = STRETCH * length + touch
     # Cheap tests first: of 466 pairs listed for four tangled ropes, midpoints leave at most 102,
     # and only those are worth the divisions of `closest`.
     for i in range(n):
-        own = vector(middle, i)
+        here = vector(middle, i)
         # Edges meet in the substep only if their midpoints are nearer than an edge's length, a
         # diameter and the way that both go; LOOKAHEAD bounds that way.
         way = fma(h, load(motion, (i,)), close)
         for p in range(start[i], start[i + 1]):
             j = other[p]
-            apart = minus(vector(middle, j), own)
+            apart = minus(vector(middle, j), here)
             reach = min(fma(h, load(motion, (j,)), way), close + LOOKAHEAD)
             if any_below(dot(apart, apart), reach * reach):
                 put(spot, (layout.MAY,), -1.0)
-                _try_row(x, v, i, j, h, touch, spot, rows, found)
+                _try_row(x, v, i, j, h, touch, spot, rows, counts)
     # Edges i and k with one between them are L apart at least if both joints turn by less than a
     # right angle: |L u + a t + b w|^2 >= L^2 + (a - b)^2 where u . t, u . w >= 0.
     for i in range(n):
@@ -169,7 +169,7 @@ def find_rows(
         least = sharpness(tangent, i, j, k)
         if any_below(least, SHARP):
             put(spot, (layout.MAY,), least - SHARP)
-            _try_row(x, v, i, k, h, touch, spot, rows, found)
+            _try_row(x, v, i, k, h, touch, spot, rows, counts)
 
 
 @inlined
@@ -178,14 +178,14 @@ def _vertex_most(v: Array, most: Array) -> None:
     n = len(v)
     last = norm(vector(v, np.int64(0)))  # a literal would be a type of its own, and compile twice
     for i in range(n):
-        own = norm(vector(v, i + 1 if i + 1 < n else 0))
-        put(most, (i,), max(last, own))
-        last = own
+        speed = norm(vector(v, i + 1 if i + 1 < n else 0))
+        put(most, (i,), max(last, speed))
+        last = speed
 
 
 @inner
 def _try_row(
-    x: Array, v: Array, i: int, j: int, h: Any, touch: float, spot: Array, rows: Array, found: Ids
+    x: Array, v: Array, i: int, j: int, h: Any, touch: float, spot: Array, rows: Array, counts: Ids
 ) -> None:
     """Add a row for edges i and j to the lanes where they would overlap, if spot[MAY] < 0."""
     n = len(x)
@@ -208,7 +208,7 @@ def _try_row(
     put(spot, (layout.GAP,), far)
     put(spot, (layout.THEN,), then)
     for lane in range(LANES):
-        row = found[lane]
+        row = counts[lane]
         # a vertex belongs to the edge that begins there, so that it makes one row
         inside = spot[layout.ON_I, lane] < 1.0 and spot[layout.ON_J, lane] < 1.0
         near = spot[layout.THEN, lane] < touch and spot[layout.GAP, lane] < touch + LOOKAHEAD
@@ -216,13 +216,13 @@ def _try_row(
             for c in range(layout.GAP + 1):
                 rows[row, c, lane] = spot[c, lane]
             rows[row, layout.EDGE_I, lane], rows[row, layout.EDGE_J, lane] = i, j
-            found[lane] = row + 1
+            counts[lane] = row + 1
 
 
 @inner
 def push_apart(
     rows: Array,
-    found: Ids,
+    counts: Ids,
     most: int,
     v: Array,
     step: Array,
@@ -252,7 +252,7 @@ def push_apart(
     for r in range(most):
         first = n
         for lane in range(LANES):
-            if r < found[lane]:
+            if r < counts[lane]:
                 i, j = int(rows[r, layout.EDGE_I, lane]), int(rows[r, layout.EDGE_J, lane])
                 k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
                 s, t = rows[r, layout.ON_I, lane], rows[r, layout.ON_J, lane]
@@ -284,7 +284,7 @@ def push_apart(
             put(weight, (r, q), a + b)
             put(weight, (q, r), a + b)
     for lane in range(LANES):
-        _solve_forces(rows, found[lane], lane, step[0, lane], physics, weight, speed, force)
+        _solve_forces(rows, counts[lane], lane, step[0, lane], physics, weight, speed, force)
     for r in range(most):
         own = load(force, (r,))
         for i in range(n + 1):

@@ -87,14 +87,14 @@ def judge(
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
         after = minus(vector(new, j), vector(x, j))
-        own = norm(after)
-        put(motion, (i,), max(last, own))
-        widest = where_below(own, widest, widest, own)  # max() would pass by a NaN
+        speed = norm(after)
+        put(motion, (i,), max(last, speed))
+        widest = where_below(speed, widest, widest, speed)  # max() would pass by a NaN
         put(turn, (i,), norm(minus(after, move)))
         e = minus(vector(new, j), vector(new, i))
         off = abs(fma(e[0], e[0], fma(e[1], e[1], fma(e[2], e[2], -length * length))))
         worst = where_below(off, worst, worst, off)
-        move, last = after, own
+        move, last = after, speed
     put(spot, (0,), widest)
     put(spot, (1,), worst)
     # both comparisons are false at a NaN, so a lane that isn't finite is rejected here
@@ -109,11 +109,11 @@ def judge(
     start, other = pairs
     middles(new, middle)
     for i in range(n):
-        own = vector(middle, i)
+        speed = vector(middle, i)
         way = load(motion, (i,)) + (STRETCH * length + SAFE)
         for p in range(start[i], start[i + 1]):
             j = other[p]
-            apart = minus(vector(middle, j), own)
+            apart = minus(vector(middle, j), speed)
             # d1 > m already, by the midpoints alone, unless they are nearer than this
             reach = way + load(motion, (j,))
             if any_below(dot(apart, apart), reach * reach):

@@ -76,7 +76,7 @@ class _LaneByLane(AbstractTemplate):
     # Numba asks for the type of the result. One argument that is `Lanes` makes all of them lanes;
     # otherwise the answer None leaves plain numbers to Numba's own templates.
     def generic(self, args: Any, kws: Any) -> Signature | None:
-        if _LANES in args and all(isinstance(one, Lanes | types.Number) for one in args):
+        if _LANES in args and all(isinstance(arg, Lanes | types.Number) for arg in args):
             return signature(_LANES, *[_LANES] * len(args))
         return None
 
@@ -217,7 +217,7 @@ def count_up(typing: Any, count: Any) -> Any:
 
     def _emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         held = context.make_array(sig.args[0])(context, builder, args[0])
-        one = ir.Constant(ir.IntType(64), 1)
-        return builder.atomic_rmw("add", held.data, one, "monotonic")
+        unit = ir.Constant(ir.IntType(64), 1)
+        return builder.atomic_rmw("add", held.data, unit, "monotonic")
 
     return types.int64(count), _emit

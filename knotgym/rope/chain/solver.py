@@ -86,7 +86,7 @@ def advance(
     group, after, spare = _empty_group(n), _empty_group(n), _empty_scratch(n)
     pull, step = np.empty((n, 3, LANES)), np.empty((1, LANES))
     listed, pairs = np.empty((n, 3, LANES)), _empty_pairs(n)
-    accepted, found = np.empty(LANES, np.bool_), np.empty(LANES, np.int64)
+    accepted, met = np.empty(LANES, np.bool_), np.empty(LANES, np.int64)
     clock = np.empty((4, LANES), np.int64)
     clock[:] = -1
     shares = 0
@@ -112,7 +112,7 @@ def advance(
         if stale or _drifted(group[0], listed):
             _list(group[0], spare, listed, pairs)
             stale = False
-        _substep(group, after, pull, step, physics, pairs, spare, found, accepted)
+        _substep(group, after, pull, step, physics, pairs, spare, met, accepted)
         # Nearly always every lane's substep is accepted: both groups change places, without a copy.
         # Otherwise lanes are copied one by one, and those rejected keep what `group` holds.
         whole = True
@@ -125,13 +125,13 @@ def advance(
                 continue
             if accepted[lane] and not whole:
                 _copy(after, lane, group, lane)
-            own = counts[clock[layout.ROPE, lane]]
-            own[layout.CONTACTS] += found[lane]
-            if _next(clock, lane, accepted[lane], schedule, own):
-                if own[layout.LOST]:
+            told = counts[clock[layout.ROPE, lane]]
+            told[layout.CONTACTS] += met[lane]
+            if _next(clock, lane, accepted[lane], schedule, told):
+                if told[layout.LOST]:
                     _stop(group, lane)
                 row = ids[clock[layout.ROPE, lane]]
-                own[layout.BLOWN_UP] = not _give(states[row], points[row], lane, group)
+                told[layout.BLOWN_UP] = not _give(states[row], points[row], lane, group)
                 clock[layout.ROPE, lane] = -1
 
 
