@@ -12,7 +12,6 @@ from .episodes import MACROS as MACROS
 from .episodes import PULLS as PULLS
 from .episodes import STEPS as STEPS
 from .episodes import Episodes as Episodes
-from .episodes import Statistics as Statistics
 from .exports import export as export
 from .exports import export_help as export_help
 from .gallery import write_sheet as write_sheet
@@ -30,7 +29,9 @@ from .located import try_files as try_files
 from .manifest import machine as machine
 from .merging import merge as merge
 from .minari_form import MinariMetadata as MinariMetadata
+from .minari_form import Statistics as Statistics
 from .minari_form import loading_lines as loading_lines
+from .minari_form import minari_faults as minari_faults
 from .minari_form import publish as publish
 from .page import write_page as write_page
 from .row_verification import faults as faults

@@ -468,31 +468,6 @@ class Episodes(NamedTuple):
         return hashed
 
 
-class Statistics:
-    """What to normalize rows of numbers by, of which blocks are added one by one."""
-
-    def __init__(self) -> None:
-        self._count, self._parts = 0, list[tuple[NDArray[Any], ...]]()
-
-    def add(self, rows: NDArray[Any]) -> None:
-        """Add rows (n, ...)."""
-        values = rows.astype(np.float64)
-        self._count += len(rows)
-        self._parts.append((values.sum(0), (values**2).sum(0), values.min(0), values.max(0)))
-
-    def found(self) -> dict[str, NDArray[np.float32]]:
-        """Return "mean", "std", "min" and "max" of each number of a row, float32 (...).
-
-        A number that never changes has std 1, so that one can divide by it.
-        """
-        total, squares, low, high = zip(*self._parts, strict=True)
-        mean = sum(total) / self._count
-        std = np.sqrt(np.maximum(sum(squares) / self._count - mean**2, 0))
-        std = np.where(std > 1e-6, std, 1)
-        both = {"mean": mean, "std": std, "min": np.min(low, axis=0), "max": np.max(high, axis=0)}
-        return {name: np.asarray(value, dtype=np.float32) for name, value in both.items()}
-
-
 def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
     """Make sets alike: codes as wide as the longest of all needs, optional columns that any has.
 

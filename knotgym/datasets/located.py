@@ -20,13 +20,14 @@ from knotgym.common import (
     Threads,
     format_of,
     require_no_links,
+    require_output,
     require_stored,
 )
 from knotgym.datasets.episode_dataset import FORMAT, datasets_below, episode_file, open_episodes
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest import read_manifest
 from knotgym.datasets.minari_form import data_files
-from knotgym.states import read_states, resolve, resolve_states
+from knotgym.states import minari_root, read_states, resolve, resolve_states
 
 _LIMIT = 60.0  # seconds
 _SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes
@@ -139,6 +140,38 @@ def _located(root: Path) -> Located | None:
         return Located(root, resolve_states(root), datasets_below(root / "minari"))
     datasets = datasets_below(root)
     return Located(root, episodes=datasets) if datasets else None
+
+
+def require_file(
+    out: Path,
+    sources: Iterable[Path],
+    overwrite: bool,
+    *,
+    folder: bool = False,
+    pictures: bool = False,
+) -> None:
+    """Check that a plain file, or a folder of such, can be written.
+
+    Args:
+        out: its path.
+        sources: what it is made from.
+        overwrite: whether it may replace an older one.
+        folder: whether it is a folder.
+        pictures: whether it holds pictures, which are known by the suffix .parquet.
+
+    Raises:
+        InvalidInput: it is in Minari's folder, or has the suffix of another kind of file.
+        Occupied: as of `require_output`.
+    """
+    if out.resolve().is_relative_to(minari_root().resolve()):
+        raise InvalidInput(
+            f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
+            " knotgym/name-v0, or give another --out"
+        )
+    if not folder and pictures != (out.suffix == ".parquet"):
+        rule = "must end in .parquet, as files" if pictures else "must not end in .parquet, the end"
+        raise InvalidInput(f"{out} {rule} of pictures")
+    require_output(out, folder=folder, overwrite=overwrite, reads=sources)
 
 
 def try_files(paths: Iterable[Path], pool: Executor) -> None:

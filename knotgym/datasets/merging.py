@@ -25,8 +25,8 @@ from knotgym.datasets.episode_dataset import (
     write_episodes,
 )
 from knotgym.datasets.episode_verification import shared_faults
-from knotgym.datasets.located import locate
-from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish, require_file
+from knotgym.datasets.located import locate, require_file
+from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.datasets.subsets import opened
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.states import (

@@ -22,7 +22,7 @@ import re
 import shutil
 import stat
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -31,7 +31,6 @@ from typing import Any
 import gymnasium
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 import knotgym
@@ -49,7 +48,7 @@ from knotgym.datasets.episode_dataset import (
     open_episodes,
     write_episodes,
 )
-from knotgym.datasets.episodes import Episodes, Statistics, gauss_codes
+from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.envs import TaskConfig
 from knotgym.rope import VIEWS
 from knotgym.states import SPLITS, minari_root
@@ -110,10 +109,34 @@ class MinariMetadata:
         for name in ("author", "author_email"):
             object.__setattr__(self, name, tuple(sorted(getattr(self, name))))
 
-    @staticmethod
-    def faults(dataset: EpisodeDataset) -> Iterator[str]:
-        """Yield where Minari's files beside a dataset aren't what follows from its columns."""
-        return minari_faults(dataset)
+
+class Statistics:
+    """What to normalize arrays by, name by name; blocks of rows are added one by one."""
+
+    def __init__(self) -> None:
+        self._blocks = defaultdict[str, list[tuple[Any, ...]]](list)
+
+    def add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Add rows (n, ...) of each array."""
+        for name, rows in arrays.items():
+            values = rows.astype(np.float64)
+            sums = values.sum(0), (values**2).sum(0)
+            self._blocks[name].append((len(rows), *sums, values.min(0), values.max(0)))
+
+    def found(self) -> dict[str, dict[str, NDArray[np.float32]]]:
+        """Return "mean", "std", "min" and "max" of each number of an array's rows, float32 (...).
+
+        A number that never changes has std 1, so that one can divide by it.
+        """
+        found = {}
+        for name, blocks in self._blocks.items():
+            counts, total, squares, low, high = zip(*blocks, strict=True)
+            mean = sum(total) / sum(counts)
+            std = np.sqrt(np.maximum(sum(squares) / sum(counts) - mean**2, 0))
+            both = {"mean": mean, "std": np.where(std > 1e-6, std, 1)}
+            both |= {"min": np.min(low, axis=0), "max": np.max(high, axis=0)}
+            found[name] = {what: np.asarray(value, np.float32) for what, value in both.items()}
+        return found
 
 
 def publish(
@@ -160,45 +183,11 @@ def publish(
         if states is not None:
             copy_file(Path(states), data / STATES_FILE)
             extra[STATES_DIGEST] = common.sha256(data / STATES_FILE)
-        # what is stepped again is read once, so it needn't be mapped
-        pack = all(part.is_recording for part in parts)
-        write_episodes(data / FILE, parts, task, extra, pack=pack)
+        write_episodes(data / FILE, parts, task, extra)
         wanted = form == "minari" or (not form and pulls <= MINARI_STEPS)
-        if wanted and not any(part.is_recording for part in parts):
-            write_minari(open_episodes(data / FILE), data)
+        if wanted and not parts[0].is_recording:
+            write_minari(open_episodes(data / FILE))
     return folder
-
-
-def require_file(
-    out: Path,
-    sources: Iterable[Path],
-    overwrite: bool,
-    *,
-    folder: bool = False,
-    pictures: bool = False,
-) -> None:
-    """Check that a plain file, or a folder of such, can be written.
-
-    Args:
-        out: its path.
-        sources: what it is made from.
-        overwrite: whether it may replace an older one.
-        folder: whether it is a folder.
-        pictures: whether it holds pictures, which are known by the suffix .parquet.
-
-    Raises:
-        InvalidInput: it is in Minari's folder, or has the suffix of another kind of file.
-        Occupied: as of `require_output`.
-    """
-    if out.resolve().is_relative_to(minari_root().resolve()):
-        raise InvalidInput(
-            f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
-            " knotgym/name-v0, or give another --out"
-        )
-    if not folder and pictures != (out.suffix == ".parquet"):
-        rule = "must end in .parquet, as files" if pictures else "must not end in .parquet, the end"
-        raise InvalidInput(f"{out} {rule} of pictures")
-    require_output(out, folder=folder, overwrite=overwrite, reads=sources)
 
 
 def copy_file(source: Path, target: Path) -> None:
@@ -210,44 +199,47 @@ def copy_file(source: Path, target: Path) -> None:
             shutil.copyfileobj(file, copy)
 
 
-def write_minari(dataset: EpisodeDataset, data: Path) -> None:
-    """Write Minari's two files into the folder that holds the dataset's own files.
+def write_minari(dataset: EpisodeDataset) -> None:
+    """Write Minari's two files beside the dataset's own file.
 
     Raises:
         InvalidFile: the dataset has no metadata.
     """
-    statistics = _Statistics()
+    data, statistics = dataset.path.parent, Statistics()
     with new_hdf5(data / MAIN, libver=("v110", "v110"), meta_block_size=_METADATA_BYTES) as file:
         rows = dataset.episodes.episodes.rows
         told = Counts.over(_contents(dataset), "writing Minari's form", rows)
         for k, (attributes, arrays) in enumerate(told):
-            _write_group(file, f"episode_{k}", attributes, arrays)
-            statistics.add(arrays)
-    entries = {**_minari_entries(dataset), "statistics": statistics.found()}
+            episode = file.create_group(f"episode_{k}")
+            episode.attrs.update(sorted(attributes.items()))
+            for path, array in arrays.items():
+                stored = _stored(array)
+                episode.create_dataset(path, data=stored, **_packing(stored))
+            statistics.add(_numbers(arrays))
+    entries = {**_minari_entries(dataset), "statistics": _listed(statistics)}
     size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
     entries["dataset_size"] = round(size / 1e6, 1)
-    entries[_SEALED] = _seals(dataset, data / MAIN, entries)
+    entries[_SEALED] = _seals(dataset, entries)
     text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
     (data / METADATA).write_text(text, encoding="utf-8")
 
 
-class _Statistics:
-    """What to normalize by, of the arrays of episodes that are added."""
+def _numbers(arrays: Arrays) -> Arrays:
+    """Return the observations and actions of an episode that can be normalized, a row a pull."""
+    count = len(arrays["actions"])
+    return {
+        name: values[:count]
+        for name, values in arrays.items()
+        if name.startswith(("observations", "actions")) and values.dtype.kind == "f"
+    }
 
-    def __init__(self) -> None:
-        self._of = defaultdict[str, Statistics](Statistics)
 
-    def add(self, arrays: Arrays) -> None:
-        for name, values in arrays.items():
-            if name.startswith(("observations", "actions")) and values.dtype.kind == "f":
-                self._of[name].add(values[: len(arrays["actions"])])
-
-    def found(self) -> dict[str, dict[str, list[float]]]:
-        # the digits that tell one float32 from another
-        return {
-            name: {what: [float(str(one)) for one in own] for what, own in of.found().items()}
-            for name, of in self._of.items()
-        }
+def _listed(statistics: Statistics) -> dict[str, dict[str, list[float]]]:
+    """Return statistics with the digits that tell one float32 from another, as JSON has them."""
+    return {
+        name: {what: [float(str(value)) for value in values] for what, values in of_name.items()}
+        for name, of_name in statistics.found().items()
+    }
 
 
 def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
@@ -267,30 +259,30 @@ def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
             if not _same_json(entries.get(name), expected.get(name)):
                 yield f"{described}: {name} isn't what follows from the episodes"
         some = dataset.drawn(_COMPARED) if sealed is not None else dataset
-        statistics = _Statistics()
+        statistics = Statistics()
         with h5py.File(main, locking=False) as file:
             if len(file) != dataset.episodes.episodes.rows:
                 yield f"{main}: it has {len(file)} episodes"
             told = Counts.over(some.numbers.tolist(), "comparing Minari's form")
             for k, (attributes, arrays) in zip(told, _contents(some), strict=True):
-                statistics.add(arrays)
-                name = f"episode_{k}"
-                for fault in _different(file, name, attributes, arrays):
-                    yield f"{main}: {fault}"
-        if some is dataset and not _same_json(entries.get("statistics"), statistics.found()):
+                statistics.add(_numbers(arrays))
+                for fault in _different(file[f"episode_{k}"], attributes, arrays):
+                    yield f"{main}: episode_{k}{fault}"
+        if some is dataset and not _same_json(entries.get("statistics"), _listed(statistics)):
             yield f"{described}: statistics isn't what follows from the episodes"
-        if sealed is not None and sealed != _seals(dataset, main, entries):
+        if sealed is not None and sealed != _seals(dataset, entries):
             yield f"{data}: Minari's form isn't the one that was written with the episodes"
     except Exception as error:  # there is no end to what foreign bytes make h5py raise
         yield f"{data}: Minari's form can't be read: {one_line(error)}"
 
 
-def _seals(dataset: EpisodeDataset, main: Path, entries: Mapping[str, Any]) -> dict[str, str]:
+def _seals(dataset: EpisodeDataset, entries: Mapping[str, Any]) -> dict[str, str]:
     """Return digests of the columns, of their file's attributes and of Minari's two files."""
     unsealed = {name: value for name, value in entries.items() if name != _SEALED}
     text = json.dumps(unsealed, sort_keys=True).encode()
     columns = {name: str(dataset.attributes.get(name)) for name in ("digest", "expansion")}
-    return {**columns, MAIN: common.sha256(main), METADATA: hashlib.sha256(text).hexdigest()}
+    main = common.sha256(dataset.path.with_name(MAIN))
+    return {**columns, MAIN: main, METADATA: hashlib.sha256(text).hexdigest()}
 
 
 def metadata_of(dataset: EpisodeDataset) -> MinariMetadata | None:
@@ -369,12 +361,6 @@ def data_files(data: Path) -> list[Path]:
 
 def _contents(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], Arrays]]:
     """Yield each episode's attributes and its arrays by path."""
-    for k, (attributes, arrays) in enumerate(_minari_episodes(dataset)):
-        yield attributes, arrays | _observations(dataset, k)
-
-
-def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], Arrays]]:
-    """Yield each episode's attributes and its arrays by path, except the observations."""
     (rows, steps), offsets = dataset.episodes, dataset.episodes.offsets
     failed = np.zeros(steps.rows, dtype=bool)
     failed[dataset.episodes.last()] = rows["diverged"]
@@ -416,39 +402,34 @@ def _minari_episodes(dataset: EpisodeDataset) -> Iterator[tuple[dict[str, Any], 
             "goal_gauss_code": str(goals[k]),
             **{name: int(column[k]) for name, column in numbers.items() if column[k] >= 0},
         }
-        own_pulls = {name: steps[column][pulls] for name, column in _OF_PULLS.items()}
-        yield attributes, own_pulls | {f"infos/{n}": array[states] for n, array in infos.items()}
+        arrays = {name: steps[column][pulls] for name, column in _OF_PULLS.items()}
+        arrays |= {f"infos/{name}": values[states] for name, values in infos.items()}
+        seen = dataset.select([k]).seen()
+        parts = seen.items() if isinstance(seen, dict) else [("", seen)]
+        arrays |= {f"observations/{name}".rstrip("/"): values for name, values in parts}
+        yield attributes, arrays
 
 
-def _observations(dataset: EpisodeDataset, k: int) -> Arrays:
-    """Return an episode's observations by path."""
-    shown = dataset.select([k]).seen()
-    if not isinstance(shown, dict):
-        return {"observations": shown}
-    return {f"observations/{name}": array for name, array in shown.items()}
-
-
-def _different(
-    stored: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Arrays
-) -> Iterator[str]:
+def _different(episode: h5py.Group, attributes: Mapping[str, Any], arrays: Arrays) -> Iterator[str]:
     """Yield the arrays and attributes of an episode that aren't those of the columns."""
     items: dict[str, Any] = {}
-    stored[name].visititems(items.__setitem__)
-    held = {path: one for path, one in items.items() if not isinstance(one, h5py.Group)}
-    for path in sorted(held.keys() ^ arrays.keys()):
-        yield f"{name}/{path} is {'missing' if path in arrays else 'not written by knotgym'}"
-    said = dict(stored[name].attrs)
-    said = {key: one.decode() if isinstance(one, bytes) else one for key, one in said.items()}
+    episode.visititems(items.__setitem__)
+    stored = {path: item for path, item in items.items() if not isinstance(item, h5py.Group)}
+    for path in sorted(stored.keys() ^ arrays.keys()):
+        yield f"/{path} is {'missing' if path in arrays else 'not written by knotgym'}"
+    said = {
+        name: value.decode() if isinstance(value, bytes) else value
+        for name, value in episode.attrs.items()
+    }
     if said != attributes:
-        yield f"{name}: its attributes aren't those of the columns"
-    for path in sorted(held.keys() & arrays.keys()):
-        kept, right = held[path], _stored(arrays[path])
+        yield ": its attributes aren't those of the columns"
+    for path in sorted(stored.keys() & arrays.keys()):
+        item, right = stored[path], _stored(arrays[path])
         # nothing outside the file is read, and nothing is unpickled
-        here = isinstance(kept, h5py.Dataset)
-        here = here and not (kept.external or kept.is_virtual)
-        same = here and (kept.dtype, kept.shape) == (right.dtype, right.shape)
-        if not same or kept[()].tobytes() != right.tobytes():  # NaN is none's equal
-            yield f"{name}/{path} isn't that of the columns"
+        here = isinstance(item, h5py.Dataset) and not (item.external or item.is_virtual)
+        same = here and (item.dtype, item.shape) == (right.dtype, right.shape)
+        if not same or item[()].tobytes() != right.tobytes():  # NaN is none's equal
+            yield f"/{path} isn't that of the columns"
 
 
 def _stored(array: NDArray[Any]) -> NDArray[Any]:
@@ -459,57 +440,17 @@ def _stored(array: NDArray[Any]) -> NDArray[Any]:
     return texts.astype(h5py.string_dtype("utf-8", max(1, texts.dtype.itemsize)))
 
 
-# An episode has some twenty arrays, most of them small. For each of them h5py's own classes repeat
-# the same look-ups and checks, which take longer than writing.
-
-
-def _write_group(file: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Arrays) -> None:
-    """Write a group with attributes and arrays, whose paths have one slash at most."""
-    whole = h5g.create(file.id, name.encode(), gcpl=_GROUP)
-    for attribute, value in sorted(attributes.items()):
-        text = np.array(value, _TEXT) if isinstance(value, str) else np.array(value)
-        h5a.create(whole, attribute.encode(), _type(text.dtype), h5s.create(h5s.SCALAR)).write(text)
-    groups = {"": whole}
-    for path, array in arrays.items():
-        folder, _, leaf = path.rpartition("/")
-        if folder not in groups:
-            groups[folder] = h5g.create(whole, folder.encode(), gcpl=_GROUP)
-        _write_array(groups[folder], leaf.encode(), array)
-
-
-def _write_array(group: h5g.GroupID, name: bytes, array: NDArray[Any]) -> None:
-    array, made = _stored(array), _CONTIGUOUS
+def _packing(array: NDArray[Any]) -> dict[str, Any]:
+    """Return how an array is compressed, as keywords of h5py; {} if it is small."""
     if array.dtype == np.uint8:
         rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
-        made = _properties()
-        made.set_chunk((min(len(array), _STRIP_FRAMES), rows, *array.shape[2:]))
-        made.set_deflate(1)
-    elif array.nbytes >= _PACKED_BYTES:
-        # with bytes of the same weight side by side, and goals that repeat, vertices halve
-        made = _properties()
-        made.set_chunk(array.shape)
-        made.set_shuffle()
-        made.set_deflate(1)
-    space = h5s.create_simple(array.shape)
-    stored = h5d.create(group, name, _type(array.dtype), space, made)
-    if array.size:
-        stored.write(h5s.ALL, h5s.ALL, np.ascontiguousarray(array))
-
-
-def _properties(kind: h5p.PropClassID = h5p.DATASET_CREATE) -> h5p.PropOCID:
-    """Return properties of an object's making: no times, so that equal data have equal bytes."""
-    made = h5p.create(kind)
-    made.set_obj_track_times(False)
-    return made
-
-
-@lru_cache(maxsize=256)
-def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
-    return h5t.py_create(dtype, logical=True)
-
-
-_TEXT, _CONTIGUOUS = h5py.string_dtype("utf-8"), _properties()
-_GROUP = _properties(h5p.GROUP_CREATE)
+        chunks = (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
+        return {"chunks": chunks, "compression": "gzip", "compression_opts": 1}
+    if array.nbytes < _PACKED_BYTES:
+        return {}
+    # with bytes of the same weight side by side, and goals that repeat, vertices halve
+    options = {"chunks": array.shape, "shuffle": True}
+    return {**options, "compression": "gzip", "compression_opts": 1}
 
 
 def _same_json(there: Any, expected: Any) -> bool:

@@ -31,8 +31,7 @@ from knotgym.common import (
 from knotgym.datasets import image_table
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.located import locate
-from knotgym.datasets.minari_form import require_file
+from knotgym.datasets.located import locate, require_file
 from knotgym.states import States, families, read_states, resolve, write_states
 
 _RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")

@@ -92,13 +92,13 @@ def statistics(dataset: Any, **opening: Unpack[Opening]) -> dict[str, dict[str, 
     transitions = Transitions(dataset, **opening)
     if not len(transitions):
         raise InvalidInput(f"{transitions.dataset.path} has no transitions to take statistics of")
-    statistics_of = {"observations": Statistics(), "actions": Statistics()}
+    totals = Statistics()
     for _, block in transitions.blocks(_AT_ONCE, _drawn_generator(transitions)):
-        for name, totals in statistics_of.items():
-            if isinstance(block[name], dict) or block[name].dtype == np.uint8:
-                raise InvalidInput("pictures need no statistics: divide them by 255")
-            totals.add(block[name])
-    return {name: own.found() for name, own in statistics_of.items()}
+        arrays = {name: block[name] for name in ("observations", "actions")}
+        if any(isinstance(array, dict) or array.dtype == np.uint8 for array in arrays.values()):
+            raise InvalidInput("pictures need no statistics: divide them by 255")
+        totals.add(arrays)
+    return totals.found()
 
 
 def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:

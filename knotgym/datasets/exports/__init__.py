@@ -132,8 +132,7 @@ def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: boo
         InvalidInput: there is no such format, or it has no place for this kind of dataset.
         Occupied: the output exists, and `overwrite` is False.
     """
-    from knotgym.datasets.located import locate
-    from knotgym.datasets.minari_form import require_file
+    from knotgym.datasets.located import locate, require_file
 
     if form not in EXPORTS:
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTS)}")

@@ -90,7 +90,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
         for file in data_files(data):
             copy_file(file, root / name / "data" / file.name)
         if not (data / METADATA).is_file():
-            write_minari(columns_of(root / name), root / name / "data")
+            write_minari(columns_of(root / name))
     namespace = {"description": "Closed ropes, goals that are Gauss codes."}
     listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
     write_text(repository / "namespace_metadata.json", json.dumps(listed))
