@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,6 @@ from knotgym import (
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
 from knotgym.datasets.episodes import (
     EPISODES,
-    PULLS,
     STEPS,
     STORED_PULLS,
     STORED_RECORDED,
@@ -62,7 +61,6 @@ from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 
 FORMAT, VERSION = "knotgym-episodes", 3
 FILE = "episodes.h5"
-_DRAWN = 1024  # starts that are drawn together
 _LISTED = 5  # datasets that a message names
 MAIN = "main_data.hdf5"  # Minari's
 STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
@@ -86,6 +84,7 @@ def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
 
 
 _UPGRADES = {2: _to_3}
+_FORMS = {"columns": (EPISODES, STEPS), "recording": (STORED_RECORDED, STORED_PULLS)}
 
 
 @dataclass(frozen=True)
@@ -176,19 +175,16 @@ class EpisodeDataset:
     def frames(self, observer: "envs.Observer") -> "envs.Frames":
         """Return its states, row by row, and its episodes' goals, for observations of them."""
         rows, steps = self.episodes
-        last = steps.rows - 1
+        episode_of = np.append(self.episodes.episode_of(), np.arange(rows.rows))
 
         @cache
         def _looks() -> Any:
-            return observer.appearances(
-                zip(rows["goal"].tolist(), rows["goal_points"], strict=True)
-            )
+            goals = zip(rows["goal"].tolist(), rows["goal_points"], strict=True)
+            return observer.appearances(goals)
 
         def _draw(ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-            within = np.searchsorted(self.episodes.offsets, np.minimum(ids, last), side="right") - 1
-            episodes = np.where(ids > last, ids - steps.rows, within)
             points = frames.points(ids).astype(np.float64)
-            return observer.draw_ropes(points, [_looks()[k] for k in episodes])
+            return observer.draw_ropes(points, [_looks()[k] for k in episode_of[ids]])
 
         stored = steps["observation"], steps["visits"], rows["goal_points"], rows["goal_visits"]
         frames = envs.Frames(*stored, _draw, common.Threads())
@@ -291,13 +287,11 @@ def open_episodes(source: Any) -> EpisodeDataset:
         raise InvalidFile(f"{path} was recorded by Minari: it can be loaded, but not played again")
     read = partial(common.read_tables, format=FORMAT, version=VERSION, upgrades=_UPGRADES)
     _, attributes = read(path)
-    form = _FORMS.get(str(attributes.get("form")))
-    if form is None:
+    if (form := str(attributes.get("form"))) not in _FORMS:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(_FORMS)}")
     with InvalidFile.instead(f"{path} has no valid task", KnotgymError, KeyError, TypeError):
         task = common.from_json(TaskConfig, attributes["task"])
-    sized = [schema.sized(beads=task.beads) for schema in form.schemas]
-    (rows, steps), _ = read(path, *sized)
+    (rows, steps), _ = read(path, *(schema.sized(beads=task.beads) for schema in _FORMS[form]))
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -308,7 +302,11 @@ def open_episodes(source: Any) -> EpisodeDataset:
         with InvalidFile.instead(f"{path} has no valid tasks", KnotgymError, KeyError, TypeError):
             if rows["setup"].max(initial=0) >= len(opened.tasks):
                 raise InvalidFile("its episodes are of more tasks than it lists")
-    return _chosen(form.read(opened), source)
+    if opened.episodes.is_recording:
+        from knotgym.datasets.stored_recordings import unpacked  # here, as few need it
+
+        opened = unpacked(opened)
+    return _chosen(opened, source)
 
 
 def _chosen(opened: EpisodeDataset, source: Any) -> EpisodeDataset:
@@ -318,8 +316,7 @@ def _chosen(opened: EpisodeDataset, source: Any) -> EpisodeDataset:
 
 
 def _opened(source: Any, rows: NDArray[np.int64] | None) -> EpisodeDataset:
-    is_file = isinstance(source, Path) and source.name != MAIN
-    opened = open_episodes(source) if is_file else columns_of(source)
+    opened = columns_of(source, recordings=True)
     return opened if rows is None else opened.select(rows)
 
 
@@ -380,15 +377,15 @@ def write_episodes(
         task: the environment; or several, which the column `setup` counts.
         facts: further attributes: metadata, run, selection, and the digests of the task's states
             and of the engine, which are found here if they aren't given. None is left out.
-        pack: whether to compress the file, which then isn't mapped when read.
+        pack: whether to compress the file, which then isn't mapped when read; recordings always
+            are.
 
     Raises:
         InvalidInput: there are no parts, or they differ in form or columns.
     """
     if not parts or len({part.is_recording for part in parts}) > 1:
         raise InvalidInput("episodes to write are a list of recordings, or of columns")
-    same = fitted(parts)
-    extra = dict(facts or {})
+    parts, extra = fitted(parts), dict(facts or {})
     if not isinstance(task, TaskConfig):
         extra["tasks"] = [common.as_json(one) for one in task]
         task = joined_task(task)
@@ -396,113 +393,22 @@ def write_episodes(
         extra[STATES_DIGEST] = common.sha256(resolve_states(task.states))
     if "engine" not in extra:
         extra["engine"] = ENGINES[task.engine].behaviour()
-    name = "recording" if parts[0].is_recording else "columns"
     attributes = {
         **{name: fact for name, fact in extra.items() if fact is not None},
-        "form": name,
+        "form": "recording" if parts[0].is_recording else "columns",
         "task": common.as_json(task),
         "rope": task.rope_config.fingerprint,
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
-        **_digests_of(same),
+        **_digests_of(parts),
     }
     attributes[_SEAL] = EpisodeDataset.seal(attributes)
-    form = _FORMS[name]
-    # beside its states, by which the starts that follow from seeds are found
-    written = form.written(same, EpisodeDataset(Path(path), same[0], task, attributes))
-    tables, pack = zip(*written, strict=True), pack or form.is_packed
+    if parts[0].is_recording:
+        from knotgym.datasets.stored_recordings import packed  # here, as above
+
+        # beside its states, by which the starts that follow from seeds are found
+        parts, pack = packed(parts, EpisodeDataset(Path(path), parts[0], task, attributes)), True
+    tables = zip(*parts, strict=True)
     common.write_tables(path, tables, attributes, format=FORMAT, version=VERSION, pack=pack)
-
-
-def _packed(parts: Sequence[Episodes], place: EpisodeDataset) -> list[Episodes]:
-    """Leave out the starts that seeds draw; store forces as whole numbers if all are `quantized`.
-
-    A start takes 3 kB, and forces most of the bytes of the steps.
-    """
-    wanted = "seed", *({"setup"} & {*parts[0].episodes})
-    try:
-        drawn = _starts(place, Table.joined([part.episodes.only(*wanted) for part in parts]))
-    except KnotgymError:  # the states aren't here, so that all starts stay
-        drawn = np.full((sum(part.episodes.rows for part in parts), 1), np.nan)
-    ends, packed = np.cumsum([part.episodes.rows for part in parts]), list[Episodes]()
-    for part, same in zip(parts, np.split(drawn, ends[:-1]), strict=True):
-        starts = part.episodes["start_qpos"].copy()
-        starts[(starts.view(np.int64) == same.view(np.int64)).all(axis=1)] = 0
-        packed.append(part._replace(episodes=part.episodes.replaced(start_qpos=starts)))
-    binned = (Episodes.binned(part.steps["force"]) for part in parts)
-    bins = [one for one in binned if one is not None]
-    if len(bins) < len(parts):
-        return packed
-    without_forces = parts[0].steps.schema.without("force")
-    schema = without_forces.extended(*STORED_PULLS.only("force_bins").columns)
-    return [
-        one._replace(steps=Table(schema, {**one.steps, "force_bins": forces}))
-        for one, forces in zip(packed, bins, strict=True)
-    ]
-
-
-def _unpacked(stored: EpisodeDataset) -> EpisodeDataset:
-    """Return a recording with all starts and forces.
-
-    Raises:
-        MissingFile: starts must be drawn, and the states aren't here.
-        InvalidFile: it has no forces, or starts of another rope.
-    """
-    rows, steps = stored.episodes
-    lacking = np.flatnonzero(~rows["start_qpos"].any(axis=1))
-    if len(lacking):
-        starts = rows["start_qpos"].copy()
-        drawn = _starts(stored, rows.take(lacking))
-        if drawn.shape[1] != starts.shape[1]:
-            raise InvalidFile(f"{stored.path} has starts of another rope than its task")
-        starts[lacking] = drawn
-        rows = rows.replaced(start_qpos=starts)
-    columns = {**steps}
-    if "force_bins" in columns:
-        columns["force"] = Episodes.unbinned(columns.pop("force_bins"))
-    if "force" not in columns:
-        raise InvalidFile(f"{stored.path} has no forces")
-    schema = PULLS.with_own(columns).only(*columns)
-    return replace(stored, episodes=Episodes(rows, Table(schema, columns)))
-
-
-class _Form(NamedTuple):
-    """A form of files, named by their attribute `form`.
-
-    Attributes:
-        schemas: of the tables of episodes and steps.
-        written: makes of the parts of a dataset what its file holds.
-        read: makes a whole dataset of what its file holds.
-        is_packed: whether files are compressed, asked for or not.
-    """
-
-    schemas: tuple[common.Schema, common.Schema]
-    written: Callable[[Sequence[Episodes], EpisodeDataset], Sequence[Episodes]]
-    read: Callable[[EpisodeDataset], EpisodeDataset]
-    is_packed: bool
-
-
-_FORMS = {
-    "columns": _Form((EPISODES, STEPS), lambda parts, place: parts, lambda stored: stored, False),
-    "recording": _Form((STORED_RECORDED, STORED_PULLS), _packed, _unpacked, True),
-}
-
-
-def _starts(place: EpisodeDataset, rows: Table) -> NDArray[np.float64]:
-    """Draw the starts of episodes again, float64 (n, nq); zeros where no seed is known.
-
-    `rows` are those of a dataset's table of episodes, with the columns `seed` and, if any, `setup`.
-    """
-    states, seeds = place.found_task.states, rows["seed"]
-    number = rows.get("setup", np.zeros(rows.rows, np.int16))
-    starts = np.zeros((0, 0))
-    for k, task in enumerate(place.tasks):
-        batch = envs.EpisodeBatch(replace(task, states=states))
-        starts = starts if starts.size else np.zeros((len(seeds), batch.start_qpos.shape[1]))
-        known = np.flatnonzero((seeds >= 0) & (number == k))
-        for first in range(0, len(known), _DRAWN):
-            some = known[first : first + _DRAWN]
-            starts[some] = batch.drawn(seeds[some].tolist())["start_qpos"]
-    return starts
 
 
 def _digests_of(parts: Sequence[Episodes]) -> dict[str, Any]:

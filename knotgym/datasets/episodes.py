@@ -103,23 +103,6 @@ class Shown(NamedTuple):
     signs: NDArray[np.int8]
     crossings: Ids
 
-    def columns(self, schema: Schema) -> dict[str, NDArray[Any]]:
-        """Return the columns of states of a schema by name.
-
-        Raises:
-            InvalidInput: nothing says how a column is computed.
-        """
-        given = self._asdict()
-        wanted = {
-            c.name: c.derived for c in schema.columns if c.of == "state" and c.origin != "given"
-        }
-        if unknown := [name for name, of in wanted.items() if not of and name not in given]:
-            raise InvalidInput(
-                f"nothing computes column {', '.join(unknown)} of steps: give it `derived`, a"
-                " function of `Shown`, in knotgym/datasets/episodes.py"
-            )
-        return {name: of(self) if of else given[name] for name, of in wanted.items()}
-
 
 class Episodes(NamedTuple):
     """A set of episodes; a recording if `steps` holds pulls alone.
@@ -134,8 +117,23 @@ class Episodes(NamedTuple):
 
     @staticmethod
     def of_states(schema: Schema, *given: Any) -> dict[str, NDArray[Any]]:
-        """Return the columns of steps that belong to states; `given` are those of `Shown`."""
-        return Shown(*given).columns(schema)
+        """Return the columns of steps that belong to states; `given` are those of `Shown`.
+
+        Raises:
+            InvalidInput: nothing says how a column is computed.
+        """
+        shown = Shown(*given)
+        columns: dict[str, NDArray[Any]] = {}
+        for c in schema.columns:
+            if c.of != "state" or c.origin == "given":
+                continue
+            if not c.derived and c.name not in Shown._fields:
+                raise InvalidInput(
+                    f"nothing computes column {c.name} of steps: give it `derived`, a function of"
+                    " `Shown`, in knotgym/datasets/episodes.py"
+                )
+            columns[c.name] = c.derived(shown) if c.derived else getattr(shown, c.name)
+        return columns
 
     @staticmethod
     def schema_beside(steps: Schema) -> Schema:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidFile, Table, from_json, read_json, require_stored
-from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, Shown
+from knotgym.datasets.episodes import EPISODES, STEPS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.rope import VIEWS, Rope, Taken
 from knotgym.topology import CodeArrays
@@ -80,9 +80,9 @@ def _episode(items: Mapping[str, Any], name: str, task: TaskConfig, policy: str)
     sizes |= {"visits": codes.visits.shape[1], "labels": codes.signs.shape[1]}
     optional = [c.name for c in STEPS.columns if c.optional and c.origin == "given"]
     schema = STEPS.sized(**sizes).without(*optional)
-    shown = Shown(points, codes.visits[:-1], codes.signs[:-1], codes.crossings[:-1])
+    shown = (points, *(part[:-1] for part in codes))  # but for the goal's
     steps = schema.empty(pulls + 1)
-    for column, column_values in shown.columns(schema).items():
+    for column, column_values in Episodes.of_states(schema, *shown).items():
         steps[column][:] = column_values
     at = np.arange(pulls)
     made = Taken({"observation": points, "read": actions}, at, at, "read", rope.reach)
