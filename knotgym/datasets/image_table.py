@@ -11,7 +11,7 @@ import json
 import os
 import struct
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import lru_cache
 from importlib.resources import files
@@ -71,19 +71,15 @@ def _columns_among(names: Collection[str]) -> dict[str, Any]:
 
     They are COLUMNS, and own ones of appearances, those of a file if all are among the names.
     """
-    tables = [columns for kind in APPEARANCES.values() for columns in kind.own_columns]
-    more = [one for one in tables if one.keys() <= set(names)]
-    return COLUMNS | {name: column["type"] for one in more for name, column in one.items()}
+    types = dict(COLUMNS)
+    for own in (columns for kind in APPEARANCES.values() for columns in kind.own_columns):
+        if own.keys() <= {*names}:
+            types |= {name: column["type"] for name, column in own.items()}
+    return types
 
 
 def _pngs(columns: Mapping[str, Any]) -> list[str]:
     return [name for name, kind in columns.items() if kind == "image"]
-
-
-def _schema(columns: Mapping[str, Any]) -> Any:
-    """Return the pyarrow schema of a perception table with these columns."""
-    types = [(name, _arrow_type(kind)) for name, kind in columns.items()]
-    return arrow().schema(types, metadata=shown(*_pngs(columns)))
 
 
 def marks_base(table: Any) -> bool:
@@ -104,7 +100,8 @@ def _table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     columns = _columns_among(rows[0] if rows else ())
     pngs = _pngs(columns)
     full = [{**row, **{n: {"bytes": row[n], "path": None} for n in pngs}} for row in rows]
-    return arrow().Table.from_pylist(full, schema=_schema(columns))
+    types = [(name, _arrow_type(kind)) for name, kind in columns.items()]
+    return arrow().Table.from_pylist(full, arrow().schema(types, metadata=shown(*pngs)))
 
 
 class PictureRow(NamedTuple):
@@ -148,19 +145,18 @@ def _record(
 
 def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
     """Return the columns that follow from a configuration and its picture."""
-    crossings = rope.crossings
-    names = ("over_place", "under_place", "sign")
-    rows = (getattr(crossings, name)[drawn.seen] for name in names)
-    columns = [column.tolist() for column in (*drawn.pixels.T, *rows)]
-    fields = ("x", "y", *names)
-    kinds = APPEARANCES[drawn.look.name].own_columns
-    images = {name for own in kinds for name, kind in own.items() if kind["type"] == "image"}
-    more = {n: encode(value) if n in images else value for n, value in drawn.columns.items()}
+    x, y = drawn.pixels.T
+    columns = {"x": x, "y": y}
+    for name in ("over_place", "under_place", "sign"):
+        columns[name] = getattr(rope.crossings, name)[drawn.seen]
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    pngs = _pngs(_columns_among(drawn.columns))
+    more = {n: encode(value) if n in pngs else value for n, value in drawn.columns.items()}
     grained = APPEARANCES[drawn.look.name].grained or drawn.look.noise > 0
     return {
         **_of_code(rope.code),
-        "crossings": [dict(zip(fields, one, strict=True)) for one in zip(*columns, strict=True)],
-        "accepted": not Limits().faults(rope.quality, crossings.nx),
+        "crossings": [dict(zip(columns, row, strict=True)) for row in rows],
+        "accepted": not Limits().faults(rope.quality, rope.crossings.nx),
         "grade": grade_of(rope.quality.ease()),
         "quality": dict(vars(rope.quality)),
         "image": encode(drawn.image, grained=grained),
@@ -293,7 +289,7 @@ def read_rows(
 
 def rows_of(table: Any) -> Iterator[dict[str, Any]]:
     """Iterate over the rows of a pyarrow.Table, see `read_rows`."""
-    pngs = _pngs(_columns_among(table.column_names) | COLUMNS)
+    pngs = _pngs(_columns_among(table.column_names))
     for batch in table.to_batches():
         for row in batch.to_pylist():
             yield row | {name: row[name]["bytes"] for name in pngs if name in row}
@@ -319,11 +315,10 @@ def _content_digest(table: Any) -> str:
 
     It is `content_sha256` of a shard, and doesn't depend on how Parquet stores the rows.
     """
-    whole, kinds = hashlib.sha256(), sorted(_columns_among(table.column_names).items())
+    whole, columns = hashlib.sha256(), _columns_among(table.column_names)
     for row in rows_of(table):
-        for name, _ in (one for one in kinds if one[1] == "image"):
-            row[name] = hashlib.sha256(row[name]).hexdigest()
-        line = json.dumps([row[name] for name, _ in kinds], sort_keys=True)
+        row |= {name: hashlib.sha256(row[name]).hexdigest() for name in _pngs(columns)}
+        line = json.dumps([row[name] for name in sorted(columns)], sort_keys=True)
         whole.update(f"{line}\n".encode())
     return whole.hexdigest()
 
@@ -359,11 +354,9 @@ def _read(path: Path, columns: list[str] | None, images: bool) -> Any:
             columns = [name for name, kind in known.items() if kind != "image"]
         table = file.read(columns=columns)
         table.validate(full=True)
-        for column, values in zip(table.column_names, table.columns, strict=True):
-            if column in known and any(map(_has_nulls, values.chunks)):
-                raise InvalidFile(f"column {column} has missing values")
-            if column in known.keys() - {"points"} and not all(map(_is_number, values.chunks)):
-                raise InvalidFile(f"column {column} holds numbers that aren't finite")
+        for name in (name for name in known if name in table.column_names):
+            for values in table[name].chunks:
+                _require_values(name, values, may_be_infinite=isinstance(known[name], dict))
         return table
 
 
@@ -384,53 +377,43 @@ def _named(schema: Any) -> dict[str, Any]:
 def _require_schema(file: Any, stored: int) -> None:
     """Refuse a shard with other columns or types, or with sizes that its bytes can't hold."""
     schema = file.schema_arrow
-    for wanted in _schema(_columns_among(schema.names)):
-        at = schema.get_all_field_indices(wanted.name)
+    for name, wanted in _columns_among(schema.names).items():
+        at = schema.get_all_field_indices(name)
         if len(at) != 1:
-            raise InvalidFile(f"column {wanted.name} must exist once, found {len(at)}")
-        kind = schema.field(at[0]).type
-        measured = wanted.name == _MEASURES and kind.num_fields
+            raise InvalidFile(f"column {name} must exist once, found {len(at)}")
+        kind, right = schema.field(at[0]).type, _arrow_type(wanted)
         # a table from before a measure was added lacks it
-        if kind != wanted.type and not (measured and {*kind} <= {*wanted.type}):
-            raise InvalidFile(f"column {wanted.name} is {kind}, should be {wanted.type}")
-    metadata = file.metadata
-    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+        fewer = name == _MEASURES and kind.num_fields and {*kind} <= {*right}
+        if kind != right and not fewer:
+            raise InvalidFile(f"column {name} is {kind}, should be {right}")
+    groups = [file.metadata.row_group(k) for k in range(file.num_row_groups)]
     # the footer's own figures: nothing is allocated before they are found plausible
     size = sum(group.total_byte_size for group in groups)
     rows = sum(group.num_rows for group in groups)
-    if rows != metadata.num_rows or not 0 <= rows * _LEAST_ROW <= stored:
-        raise InvalidFile(f"it declares {metadata.num_rows} rows but stores {stored} bytes")
+    if rows != file.metadata.num_rows or not 0 <= rows * _LEAST_ROW <= stored:
+        raise InvalidFile(f"it declares {file.metadata.num_rows} rows but stores {stored} bytes")
     if not 0 <= size <= _MOST_EXPANDED * stored:
         raise InvalidFile(f"it declares {size} bytes but stores {stored}")
 
 
-def _is_number(values: Any, right: Callable[..., Any] = np.isfinite) -> bool:
-    """Check the floats in an Arrow array; measures, fields of a row's one struct, may be infinite.
-
-    Of points `points_of` says where they aren't finite.
+def _require_values(name: str, values: Any, *, may_be_infinite: bool) -> None:
+    """Refuse missing values in a column, but in a picture's path, which is unused; and floats that
+    aren't numbers. Measures, fields of a row's one struct, may be infinite; of points `points_of`
+    says where they aren't finite.
     """
-    pa = arrow()
-    if pa.types.is_struct(values.type):
-        return all(_is_number(one, lambda v: ~np.isnan(v)) for one in values.flatten())
-    if pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
-        inner = values.flatten()
-        columns = inner.flatten() if pa.types.is_struct(inner.type) else [inner]
-        return all(map(_is_number, columns))
-    whole = not pa.types.is_floating(values.type)
-    return whole or bool(right(values.to_numpy(zero_copy_only=False)).all())
-
-
-def _has_nulls(values: Any) -> bool:
-    """Check an Arrow array for missing values, except in the path of a picture, which is unused."""
-    pa = arrow()
+    types = arrow("pyarrow.types")
     if values.null_count:
-        return True
-    if pa.types.is_struct(values.type):
-        names = [values.type.field(k).name for k in range(values.type.num_fields)]
-        return any(_has_nulls(values.field(name)) for name in names if name != "path")
-    if pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
-        return _has_nulls(values.flatten())
-    return False
+        raise InvalidFile(f"column {name} has missing values")
+    if types.is_struct(values.type):
+        for field in values.type:
+            if field.name != "path":
+                _require_values(name, values.field(field.name), may_be_infinite=may_be_infinite)
+    elif types.is_list(values.type) or types.is_fixed_size_list(values.type):
+        _require_values(name, values.flatten(), may_be_infinite=False)
+    elif types.is_floating(values.type) and name != "points":
+        numbers = values.to_numpy(zero_copy_only=False)
+        if not (~np.isnan(numbers) if may_be_infinite else np.isfinite(numbers)).all():
+            raise InvalidFile(f"column {name} holds numbers that aren't finite")
 
 
 def _arrow_type(kind: Any) -> Any:

@@ -101,8 +101,7 @@ def _state_faults(states: States) -> Iterator[str]:
         ends = _replayed(states, rows, rope) if replays else None
         for row in rows:
             # replays count as half of the work
-            done = rows.start + (len(rows) + row - rows.start) // 2
-            Counts.tell("states checked", done, len(states))
+            Counts.tell("states checked", (row + rows.stop) / 2, len(states))
             for fault in _row_faults(states, row, rope, ends):
                 yield type(fault)(f"states.h5 row {row}: {fault}")
     # without seeds each row may be of a rope of its own
@@ -224,9 +223,8 @@ def _row_faults(
     if not off <= ENGINES[states.engine].rounding:
         yield "points are not those of qpos"
     yield from _derived_faults(stored, rope)
-    split = str(stored["split"])
-    if not (split in SPLITS and SPLITS[split].of_states):
-        yield f"split is {str(stored['split'])!r}"
+    if (split := str(stored["split"])) not in SPLITS or not SPLITS[split].of_states:
+        yield f"split is {split!r}"
     if ends is None:
         return
     end = ends.get(row)
@@ -292,22 +290,21 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Arra
     for row in rows:
         with suppress(InvalidInput):  # a fault of the row
             actions[row] = _actions_of(states, row)
-    if not (left := sorted(actions)):
+    if not actions:
         return {}
-    ropes = simulation(states.engine, len(left), rope, threads=0)
-    ropes.set_qpos(states.source["start_qpos"][left])
+    ropes = simulation(states.engine, len(actions), rope, threads=0)
+    ropes.set_qpos(states.source["start_qpos"][[*actions]])
     # rows of different lengths share a simulation: those that are done are not stepped
-    whole = np.ones(len(left), dtype=bool)
-    lengths = np.array([len(actions[row]) for row in left])
+    each, whole = [*actions.values()], np.ones(len(actions), dtype=bool)
+    lengths = np.array([*map(len, each)])
     for step in range(int(lengths.max())):
-        replayed = np.minimum(lengths, step).sum() / max(1, lengths.sum())
-        done = rows[0] + int(replayed * len(rows) / 2)
-        Counts.tell("states checked", done, len(states))
+        replayed = np.minimum(lengths, step).sum() / lengths.sum()
+        Counts.tell("states checked", rows[0] + replayed * len(rows) / 2, len(states))
         ids = np.flatnonzero(whole & (step < lengths))
         if len(ids):
-            whole[ids] = ropes.act([actions[left[k]][step] for k in ids], ids)
-    qpos = ropes.qpos()
-    return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
+            whole[ids] = ropes.act([each[k][step] for k in ids], ids)
+    ends = zip(actions, ropes.qpos(), whole, strict=True)
+    return {row: qpos for row, qpos, is_whole in ends if is_whole}
 
 
 def _image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
@@ -325,8 +322,8 @@ def _image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
     parts, told = list[Any](), each(_shard_faults, files)
     for faults, part in Counts.over(told, "files of pictures", len(files)):
         yield from faults
-        parts += [] if part is None else [part]
-    if len(parts) < len(files):  # a fault already
+        parts.append(part)
+    if any(part is None for part in parts):  # a fault already
         return
     if len(table := image_table.arrow().concat_tables(parts)):
         yield from _split_faults(table)
@@ -365,23 +362,17 @@ def _picture_faults(row: Mapping[str, Any]) -> Iterator[str]:
     if (name := row["appearance"]["name"]) not in APPEARANCES:
         yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
         return
-    tables, drawer = APPEARANCES[name].own_columns, Drawer.of(name)
-    named = (column for columns in tables for column in columns if column in row)
-    structures = ["appearance", *named]
-    chosen = {one.name for one in fields(drawer.look)}  # others are measured in the picture
-    factors = [
-        (f"{one}.{factor}", value)
-        for one in structures
-        if isinstance(row[one], dict)
-        for factor, value in row[one].items()
-        if isinstance(value, (int, float)) and factor in chosen
-    ]
-    for factor, value in factors:
-        sized = factor == "appearance.size"
-        low, high = AppearanceConfig.SIZES if sized else (-_MOST_DRAWN, _MOST_DRAWN)
-        if factor != "appearance.seed" and not low <= value <= high:
-            yield f"{factor} is {value}, should be {low:g} to {high:g}"
-            return
+    drawer = Drawer.of(name)
+    chosen = {field.name for field in fields(drawer.look)} - {"seed"}  # others are measured
+    own = (column for columns in APPEARANCES[name].own_columns for column in columns)
+    for column in ("appearance", *own):
+        factors = row.get(column)
+        for factor, value in factors.items() if isinstance(factors, dict) else ():
+            low, high = AppearanceConfig.SIZES if factor == "size" else (-_MOST_DRAWN, _MOST_DRAWN)
+            number = factor in chosen and isinstance(value, (int, float))
+            if number and not low <= value <= high:
+                yield f"{column}.{factor} is {value}, should be {low:g} to {high:g}"
+                return
     points = np.array(row["points"], np.float64).reshape(-1, 3)
 
     def _derived(rope: RopeAtRest) -> dict[str, Any]:
