@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Counts
-from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import decode, encode, read_table
 from knotgym.rendering import draw_diagram
@@ -59,10 +59,7 @@ def _contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]
 
 def write_gallery(path: Path, shown: States | Sequence[Path]) -> None:
     """Write the contact sheet of states, or of datasets of episodes, as a PNG."""
-    _write(path, _state_tiles(shown) if isinstance(shown, States) else _episode_tiles(shown))
-
-
-def _write(path: Path, tiles: Sequence[Tile]) -> None:
+    tiles = _state_tiles(shown) if isinstance(shown, States) else _episode_tiles(shown)
     path.write_bytes(encode(_contact_sheet(tiles)))
 
 
@@ -77,7 +74,7 @@ def write_sheet(path: Path, located: "Located") -> str:
     else:
         tiles, what = _episode_tiles(located.episodes), "episodes, each at its end"
         count = sum(columns_of(one).episodes.episodes.rows for one in located.episodes)
-    _write(path, tiles)
+    path.write_bytes(encode(_contact_sheet(tiles)))
     return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
 
 
@@ -108,21 +105,21 @@ def _episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
     """
     from knotgym.rendering import Film  # here, as states need no films
 
-    opened, tiles = [columns_of(dataset) for dataset in datasets], list[Tile]()
-    every, strata = list[tuple[int, int]](), list[tuple[int, int, bool]]()
-    for number, opened_set in enumerate(opened):
-        rows = opened_set.episodes.episodes
-        crossings = (np.count_nonzero(rows["goal_visits"], axis=1) // 2).tolist()
-        every += [(number, row) for row in range(rows.rows)]
-        outcomes = rows["success"].tolist()
-        strata += [(number, *pair) for pair in zip(crossings, outcomes, strict=True)]
-    for number, row in (every[k] for k in _sample(strata)):
-        (rows, steps), last = opened[number].episodes, opened[number].episodes.last()[row]
+    every, strata, tiles = list[tuple[EpisodeDataset, int]](), list[Hashable](), list[Tile]()
+    for number, dataset in enumerate(map(columns_of, datasets)):
+        rows = dataset.episodes.episodes
+        crossings = np.count_nonzero(rows["goal_visits"], axis=1) // 2
+        every += [(dataset, row) for row in range(rows.rows)]
+        strata += zip(
+            [number] * rows.rows, crossings.tolist(), rows["success"].tolist(), strict=True
+        )
+    for dataset, row in (every[k] for k in _sample(strata)):
+        (rows, steps), last = dataset.episodes, dataset.episodes.last()[row]
         both = steps["visits"][[last]], rows["goal_visits"][[row]]
         code, goal = (str(gauss_codes(visits)[0]) or "loop" for visits in both)
         outcome = "reached" if rows["success"][row] else "failed"
-        name = f"{opened[number].name}  " if len(opened) > 1 else ""
         end = outcome if rows["success"][row] else f"{outcome}, goal {goal}"
+        name = f"{dataset.name}  " if len(datasets) > 1 else ""
         captions = (code, f"{name}episode {row}", end)
         points = steps["observation"][last].astype(np.float64)
         tiles.append(Tile(draw_diagram(points), captions, Film.OUTCOMES[outcome]))

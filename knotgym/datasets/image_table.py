@@ -122,25 +122,16 @@ class PictureRow(NamedTuple):
 
 def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
     """Render rows as a pyarrow.Table."""
-    drawer, ropes = Drawer.of(config.name), RopeAtRest.measured(np.array([r.points for r in rows]))
-    return _table_of([_record(*one, drawer, config) for one in zip(rows, ropes, strict=True)])
-
-
-def _record(
-    row: PictureRow, rope: RopeAtRest, drawer: Drawer, config: AppearanceConfig
-) -> dict[str, Any]:
-    """Return all columns of a row by name, `image` as PNG bytes."""
-    source = row.source
-    rng = Stream.IMAGE_APPEARANCE.generator(source["seed"], source["row"])
-    drawn = drawer.sampled(row.points, config, rng, row.camera, rope.crossings)
-    Counts.end_item()
-    return {
-        **derived(rope, drawn),
-        "points": row.points.ravel().tolist(),
-        "appearance": {name: getattr(drawn.look, name) for name in COLUMNS["appearance"]},
-        "source": source,
-        "split": row.split,
-    }
+    drawer, records = Drawer.of(config.name), list[dict[str, Any]]()
+    ropes = RopeAtRest.measured(np.array([row.points for row in rows]))
+    for row, rope in zip(rows, ropes, strict=True):
+        rng = Stream.IMAGE_APPEARANCE.generator(row.source["seed"], row.source["row"])
+        drawn = drawer.sampled(row.points, config, rng, row.camera, rope.crossings)
+        given = {"points": row.points.ravel().tolist(), "source": row.source, "split": row.split}
+        look = {name: getattr(drawn.look, name) for name in COLUMNS["appearance"]}
+        records.append({**derived(rope, drawn), **given, "appearance": look})
+        Counts.end_item()
+    return _table_of(records)
 
 
 def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:

@@ -69,34 +69,33 @@ def merge(
     if dataset_id:
         if states:
             raise InvalidInput("an id is for episodes; give --out for states")
-        folder = Path(out or minari_root()) / dataset_id
-        require_output(folder, folder=True, overwrite=overwrite, reads=sources)
+        target = Path(out or minari_root()) / dataset_id
+        require_output(target, folder=True, overwrite=overwrite, reads=sources)
     elif out is None:
         raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
     else:
-        require_file(out, sources, overwrite)
-    if states and out:
+        require_file(target := out, sources, overwrite)
+    if states:
         merged = merge_states(states, distinct=True)
         rows = range(len(merged))
         for fault in shared_faults(merged.points, merged.split, rows, rows):
             raise InvalidInput(f"merged, {fault}; leave one out, see `knotgym dataset delete`")
-        with atomic_write(out, overwrite=overwrite) as temporary:
+        with atomic_write(target, overwrite=overwrite) as temporary:
             write_states(temporary, merged)
-        return f"{out}: {len(merged)} states"
+        return f"{target}: {len(merged)} states"
     task, engine = _joint_task(datasets), _one_engine(datasets)
-    parts = [one.episodes for one in datasets]
     _require_distinct(datasets)
-    kept = datasets[0].facts
-    facts = kept if len(datasets) == 1 else {k: v for k, v in kept.items() if k == STATES_DIGEST}
+    parts, facts = [dataset.episodes for dataset in datasets], datasets[0].facts
+    if len(datasets) > 1:
+        facts = {name: fact for name, fact in facts.items() if name == STATES_DIGEST}
     facts = {**facts, "engine": engine}
     if dataset_id:
         about, carried = _metadata(datasets, dataset_id), _states(datasets[0])
-        made = publish(parts, task, about, out, states=carried, facts=facts, overwrite=overwrite)
-    elif out:
-        made = out
-        with atomic_write(out, overwrite=overwrite) as temporary:
+        publish(parts, task, about, out, states=carried, facts=facts, overwrite=overwrite)
+    else:
+        with atomic_write(target, overwrite=overwrite) as temporary:
             write_episodes(temporary, parts, task, facts)
-    return f"{made}: {sum(one.episodes.rows for one in parts)} episodes"
+    return f"{target}: {sum(part.episodes.rows for part in parts)} episodes"
 
 
 def _states(dataset: EpisodeDataset) -> Path | None:

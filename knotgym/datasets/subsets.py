@@ -73,9 +73,9 @@ def select(
         if not 0 < sample <= len(rows):
             raise InvalidInput(f"{len(rows)} rows match, can't sample {sample} of them")
         rows = np.sort(Stream.SELECTION.generator(seed).choice(rows, sample, replace=False))
-    how: dict[str, Any] = {"where": where, "sample": sample}
-    how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
-    return _write_rows(given, str(source), rows, how, Path(out), overwrite)
+    how = {"where": where} if where else {}
+    drawn = {"sample": sample, "seed": seed} if sample else {}
+    return _write_rows(given, str(source), rows, how | drawn, Path(out), overwrite)
 
 
 def delete(source: str | Path, rows: str, out: str | Path, *, overwrite: bool = False) -> Path:
@@ -100,8 +100,8 @@ def delete(source: str | Path, rows: str, out: str | Path, *, overwrite: bool = 
                 f"rows of {source} are numbers such as 3,7-9 below {given.size}, got {word!r}"
             )
         left[int(range_[1]) : last + 1] = False
-    how = {"deleted": rows}
-    return _write_rows(given, str(source), np.flatnonzero(left), how, Path(out), overwrite)
+    rest = np.flatnonzero(left)
+    return _write_rows(given, str(source), rest, {"deleted": rows}, Path(out), overwrite)
 
 
 def split(
@@ -131,14 +131,14 @@ def split(
     if len(set(dealt.tolist())) < len(shares):
         many = f"{together.max() + 1} groups of rows that share something"
         raise InvalidInput(f"{source} can't be cut into {len(shares)} parts: it has {many}")
-    names = [f"{whole.stem}-{name}{whole.suffix}" for name in shares]
-    for name in names:
+    names = {part: f"{whole.stem}-{part}{whole.suffix}" for part in shares}
+    for name in names.values():
         _require(whole.with_name(name), given, given.digested, overwrite)
-    with atomic_write(whole.parent, *names, overwrite=overwrite) as staged:
-        for k, (part, name) in enumerate(zip(shares, names, strict=True)):
+    with atomic_write(whole.parent, *names.values(), overwrite=overwrite) as staged:
+        for k, (part, name) in enumerate(names.items()):
             rows, how = np.flatnonzero(dealt == k), {"parts": shares, "seed": seed, "part": part}
             _write_rows(given, str(source), rows, how, staged / name)
-    return [whole.with_name(name) for name in names]
+    return [whole.with_name(name) for name in names.values()]
 
 
 def kept(path: Path, first: Path | None = None) -> str:
@@ -149,14 +149,12 @@ def kept(path: Path, first: Path | None = None) -> str:
     said = f"{rows.earlier[-1]['kept']} of {rows.earlier[-1]['rows']} rows"
     if first is None or first == path or not isinstance(rows.data, EpisodeDataset):
         return said
-    shared = list[str]()
-    for name in ("start", "goal"):
-        mine, other = (
-            {*one.episodes.episodes[name].tolist()} for one in (rows.data, open_episodes(first))
-        )
-        shared.append(f"{len(mine & other)} of its {len(mine)} {name}s")
-    why = "; only states without crossings may" * (not all(one[:2] == "0 " for one in shared))
-    return f"{said}; {', '.join(shared)} stand in {first.name}, too{why}"
+    mine, other = rows.data.episodes.episodes, open_episodes(first).episodes.episodes
+    states = {name: {*mine[name].tolist()} for name in ("start", "goal")}
+    shared = {name: own & {*other[name].tolist()} for name, own in states.items()}
+    counts = (f"{len(shared[name])} of its {len(own)} {name}s" for name, own in states.items())
+    why = "; only states without crossings may" * any(shared.values())
+    return f"{said}; {', '.join(counts)} stand in {first.name}, too{why}"
 
 
 class _Rows(NamedTuple):
@@ -193,10 +191,9 @@ def opened(source: str | Path) -> _Rows:
         rows = _of_pictures(located.pictures)
     else:
         rows = _of_states(located.states) if located.states else _of_episodes(located.episodes[0])
-    # which may be a stranger's
-    if not isinstance(rows.earlier, list) or not all(isinstance(one, dict) for one in rows.earlier):
-        given = f"{rows.earlier!r:.80}"
-        raise InvalidFile(f"{source}: its selection should be a list of objects, got {given}")
+    made = rows.earlier  # which may be a stranger's
+    if not isinstance(made, list) or not all(isinstance(each, dict) for each in made):
+        raise InvalidFile(f"{source}: its selection should be a list of objects, got {made!r:.80}")
     return rows
 
 
@@ -244,39 +241,37 @@ def _of_pictures(path: Path) -> _Rows:
 
 def _of_episodes(path: Path) -> _Rows:
     dataset = open_episodes(path)
-    (own, steps), task, facts = dataset.episodes, dataset.task, dataset.facts
+    (episodes, steps), task = dataset.episodes, dataset.task
 
     def _columns() -> dict[str, NDArray[Any]]:
-        number = _single_of(dataset)
-        found = {
-            "episode": np.arange(own.rows),
-            **{name: values for name, values in own.items() if values.ndim == 1},
-            "goal_gauss_code": gauss_codes(own["goal_visits"]),
-            "task": np.array([one.task for one in task.singles])[number],
-            "nx": np.array([one.nx for one in task.singles])[number],
-            "split": np.full(own.rows, task.split),
+        single = _single_of(dataset)
+        columns = {
+            "episode": np.arange(episodes.rows),
+            **{name: values for name, values in episodes.items() if values.ndim == 1},
+            "goal_gauss_code": gauss_codes(episodes["goal_visits"]),
+            "task": np.array([one.task for one in task.singles])[single],
+            "nx": np.array([one.nx for one in task.singles])[single],
+            "split": np.full(episodes.rows, task.split),
         }
         if "visits" in steps:
             first, last = dataset.episodes.offsets[:-1], dataset.episodes.last()
-            found |= {
-                "terminated": steps["terminated"][last - 1],
-                "truncated": steps["truncated"][last - 1],
-                "start_gauss_code": gauss_codes(steps["visits"][first]),
-                "final_gauss_code": gauss_codes(steps["visits"][last]),
-            }
-        return found
+            columns |= {name: steps[name][last - 1] for name in ("terminated", "truncated")}
+            columns["start_gauss_code"] = gauss_codes(steps["visits"][first])
+            columns["final_gauss_code"] = gauss_codes(steps["visits"][last])
+        return columns
 
     def _shared() -> Ids:
         # states without crossings are shared by nearly all episodes
         tangled = np.array([one.start_nx > 0 for one in task.singles])[_single_of(dataset)]
-        goals = np.where(own["goal_visits"].any(axis=1), own["goal"], -1)
-        return np.stack([np.where(tangled, own["start"], -1), goals], axis=1)
+        goals = np.where(episodes["goal_visits"].any(axis=1), episodes["goal"], -1)
+        return np.stack([np.where(tangled, episodes["start"], -1), goals], axis=1)
 
     def _write(rows: Ids, made: list[Any], out: Path) -> None:
-        write_episodes(out, [dataset.episodes.select(rows)], task, {**facts, "selection": made})
+        facts = {**dataset.facts, "selection": made}
+        write_episodes(out, [dataset.episodes.select(rows)], task, facts)
 
     earlier = dataset.attributes.get("selection", [])
-    return _Rows(dataset, dataset.path, own.rows, earlier, _columns, _shared, _write)
+    return _Rows(dataset, dataset.path, episodes.rows, earlier, _columns, _shared, _write)
 
 
 def _families_and_ropes(points: Array, ropes: Ids) -> Ids:
@@ -369,9 +364,9 @@ def _matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np
     """
     polars = MissingExtra.imported("polars", "select", "a condition")
     words = [name.rpartition(".")[2] for name in columns]
-    short = {w: c for w, c in zip(words, columns.values(), strict=True) if words.count(w) == 1}
-    named = {**columns, **{word: c for word, c in short.items() if word not in columns}}
-    frame = polars.DataFrame(named, nan_to_null=True)
+    named = zip(words, columns.values(), strict=True)
+    short = {word: values for word, values in named if words.count(word) == 1}
+    frame = polars.DataFrame({**short, **columns}, nan_to_null=True)
     if len(text) > _LONGEST or _QUERY.search(_QUOTED.sub("", text)):
         raise _refused(text, f"it must be a condition of up to {_LONGEST} characters, not a query")
     try:
@@ -384,9 +379,8 @@ def _matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np
     except polars.exceptions.PolarsError as error:
         raise _refused(text, str(error).split("\n")[0]) from error
     if fulfilled.dtype != polars.Boolean or len(fulfilled) != len(frame):
-        raise _refused(
-            text, f"it gives {fulfilled.dtype}, and should be true or false for each row"
-        )
+        gives = f"it gives {fulfilled.dtype}, and should be true or false for each row"
+        raise _refused(text, gives)
     return np.asarray(fulfilled.fill_null(False).to_numpy(), dtype=bool)
 
 

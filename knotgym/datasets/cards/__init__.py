@@ -213,16 +213,14 @@ def _state_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTa
         for nx, reasons in report.get("rejected", {}).items()
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
-    counted, more = _counted("states", states.table, _SPLITS), _TABLES["states"]
+    counted, more, rows = _counted("states", states.table, _SPLITS), _TABLES["states"], []
+    for nx, row in zip(numbers, counted.rows, strict=True):
+        codes = map(GaussCode.parse, states.gauss_code_chiral[states.nx == nx].tolist())
+        signs = Counter(sign for code in codes for sign in code.signs)
+        rows.append((*row, existing.get(str(nx), "?") or "many", f"{signs[1]} / {signs[-1]}"))
+    head, says = (*counted.head, *more["head"]), f"{counted.says}; {more['says']}"
     listed = (
-        counted._replace(
-            head=(*counted.head, *more["head"]),
-            rows=[
-                (*row, *_more(states, nx, existing))
-                for nx, row in zip(numbers, counted.rows, strict=True)
-            ],
-            says=f"{counted.says}; {more['says']}",
-        ),
+        CardTable("states", head, rows, says),
         CardTable._of("train and test", [_overlap(states, nx) for nx in numbers]),
         _measured(states.measures),
         CardTable._of("rejected", rejected, attempts=report.get("attempts")),
@@ -282,12 +280,6 @@ def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, 
         lacking=lacking and f"The expert reached no goal of these codes: {lacking}.",
         columns=states.table.schema.page(),
     )
-
-
-def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object, ...]:
-    codes = states.gauss_code_chiral[states.nx == nx].tolist()
-    signs = [sign for code in codes for sign in GaussCode.parse(code).signs]
-    return existing.get(str(nx), "?") or "many", f"{signs.count(1)} / {signs.count(-1)}"
 
 
 def _overlap(states: States, nx: int) -> tuple[object, ...]:

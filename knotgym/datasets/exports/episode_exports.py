@@ -72,11 +72,11 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
         if metadata is None or file.name != FILE:  # a file by itself has no folder to copy
             how = "convert it with knotgym dataset merge --id"
             raise InvalidInput(f"{dataset} is not a Minari dataset; {how}")
-        name, rows = metadata.dataset_id, opened.episodes.episodes
+        name, episodes = metadata.dataset_id, opened.episodes.episodes
         if name in sources:
             raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
-        steps, counts = int(rows["length"].sum()), opened.episodes.distinct().values()
-        entries[name] = (rows.rows, steps, *counts, metadata.algorithm_name)
+        steps, counts = int(episodes["length"].sum()), opened.episodes.distinct().values()
+        entries[name] = (episodes.rows, steps, *counts, metadata.algorithm_name)
         sources[name] = data
     words = {name.partition("/")[0] for name in sources}
     if len(words) != 1 or any("/" not in name for name in sources):
@@ -91,19 +91,16 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
             copy_file(file, root / name / "data" / file.name)
         if not (data / METADATA).is_file():
             write_minari(columns_of(root / name))
-    namespace = {"description": "Closed ropes, goals that are Gauss codes."}
-    listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
-    write_text(repository / "namespace_metadata.json", json.dumps(listed))
+    about = {"description": "Closed ropes, goals that are Gauss codes.", "namespaces": []}
+    namespace = json.dumps({**about, "datasets": sorted(sources)})
+    write_text(repository / "namespace_metadata.json", namespace)
     write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
     write_gallery(repository / "gallery.png", [*sources.values()])
-    write_text(repository / "README.md", _card(repository.name, entries))
-    return f"a Minari root with {len(sources)} datasets; upload the folder in it"
-
-
-def _card(repository: str, entries: dict[str, tuple[object, ...]]) -> str:
-    rows = [tuple(map(plain, (name, *entry))) for name, entry in sorted(entries.items())]
+    rows = [tuple(map(plain, (name, *entries[name]))) for name in sorted(entries)]
     listed = {"first": json.dumps(rows[0][0]), "datasets": table(_HEAD, rows)}
-    return filled_template("minari_card.md", repository=plain(repository), **listed)
+    card = filled_template("minari_card.md", repository=plain(repository.name), **listed)
+    write_text(repository / "README.md", card)
+    return f"a Minari root with {len(sources)} datasets; upload the folder in it"
 
 
 def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
@@ -140,11 +137,9 @@ def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
 
 
 def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
-    steps = dataset.episodes.steps
-    terminals = np.zeros(steps.rows, dtype=bool)
-    terminals[dataset.episodes.last()] = True
-    rows = dataset.episodes.episodes.rows
-    told = Counts.over(range(rows), "drawing episodes", rows)
+    (rows, steps), last = dataset.episodes, dataset.episodes.last()
+    terminals = np.isin(np.arange(steps.rows), last)
+    told = Counts.over(range(rows.rows), "drawing episodes")
     seen = np.concatenate([dataset.select([k]).seen(look, alone=True) for k in told])
     return {"observations": seen, "actions": steps["action"], "terminals": terminals}
 

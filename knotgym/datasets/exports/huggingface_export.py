@@ -57,9 +57,8 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     arrow()
     states = None if source.states is None else read_states(source.states)
     datasets = [columns_of(path) for path in source.episodes]
-    for first, other in repeated(
-        one.name for one in datasets
-    ):  # the column `dataset` tells them apart
+    # the column `dataset` tells them apart
+    for first, other in repeated(dataset.name for dataset in datasets):
         raise InvalidInput(
             f"two datasets have the id {datasets[first].name}: {source.episodes[first]} and"
             f" {source.episodes[other]}"
@@ -163,34 +162,28 @@ def _step_tables(dataset: EpisodeDataset, schema: Schema, pictures: bool) -> Ite
         schema: of the file; optional columns that the dataset lacks hold their value for unknown.
         pictures: whether it has them.
     """
-    rows, offsets = dataset.episodes.episodes.rows, dataset.episodes.offsets
-    for first in range(0, rows, _AT_ONCE):
+    count, offsets = dataset.episodes.episodes.rows, dataset.episodes.offsets
+    for first in range(0, count, _AT_ONCE):
         Counts.tell("writing steps", Counts.from_now(int(offsets[first])), int(offsets[-1]))
-        some = dataset.select(np.arange(first, min(first + _AT_ONCE, rows)))
-        yield _step_table(some, first, pictures).filled(schema)
-
-
-def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
-    (rows, steps), episode = part.episodes, part.episodes.episode_of()
-    is_last = np.zeros(steps.rows, dtype=bool)
-    is_last[part.episodes.last()] = True
-    columns: dict[str, NDArray[Any]] = {
-        **steps,
-        "points": steps["observation"],
-        "dataset": np.full(steps.rows, part.name),
-        "policy": rows["policy"][episode],
-        "gauss_code": gauss_codes(steps["visits"]),
-        "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
-        "goal_gauss_code": gauss_codes(rows["goal_visits"])[episode],
-        "episode": number + episode,
-        "step": Episodes.ranges(np.zeros_like(rows["length"]), rows["length"] + 1),
-        "is_last": is_last,
-        "is_success": part.episodes.goal_reached(part.task),
-        "goal_points": rows["goal_points"][episode],
-    }
-    if pictures:
-        columns["image"] = part.seen("pixels")[..., :3]
-    return Table(ROWS_OF_STEPS.with_own(columns), columns)
+        part = dataset.select(np.arange(first, min(first + _AT_ONCE, count)))
+        (rows, steps), episode = part.episodes, part.episodes.episode_of()
+        columns: dict[str, NDArray[Any]] = {
+            **steps,
+            "points": steps["observation"],
+            "dataset": np.full(steps.rows, part.name),
+            "policy": rows["policy"][episode],
+            "gauss_code": gauss_codes(steps["visits"]),
+            "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
+            "goal_gauss_code": gauss_codes(rows["goal_visits"])[episode],
+            "episode": first + episode,
+            "step": Episodes.ranges(np.zeros_like(rows["length"]), rows["length"] + 1),
+            "is_last": np.isin(np.arange(steps.rows), part.episodes.last()),
+            "is_success": part.episodes.goal_reached(part.task),
+            "goal_points": rows["goal_points"][episode],
+        }
+        if pictures:
+            columns["image"] = part.seen("pixels")[..., :3]
+        yield Table(ROWS_OF_STEPS.with_own(columns), columns).filled(schema)
 
 
 def _write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:

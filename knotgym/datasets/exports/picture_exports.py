@@ -97,15 +97,7 @@ def to_webdataset(source: Located, folder: Path, _: Replay) -> str:
 
 def _json(value: Any) -> str:
     """Write JSON; a measure that is infinite, such as the margin of a plain loop, is null."""
-
-    def known(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {name: known(inner) for name, inner in value.items()}
-        if isinstance(value, list):
-            return [*map(known, value)]
-        return None if value in (np.inf, -np.inf) else value
-
-    return json.dumps(known(value), allow_nan=False)
+    return json.dumps(json.loads(json.dumps(value), parse_constant=lambda infinity: None))
 
 
 def _sample(row: Mapping[str, Any]) -> dict[str, bytes]:

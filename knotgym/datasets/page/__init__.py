@@ -10,6 +10,7 @@ evenly, and the page says so.
 import base64
 import html
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -220,11 +221,11 @@ def _episodes(
 
 def _by_goal(tables: Sequence[Mapping[str, NDArray[Any]]]) -> str:
     """Say how many of the episodes that are shown reached each goal, most failures first."""
-    codes = np.concatenate([gauss_codes(own["goal_visits"]) for own in tables])
-    success = np.concatenate([own["success"] for own in tables])
-    counts = [(int((codes == code).sum()), success[codes == code].sum(), code) for code in {*codes}]
-    counts.sort(key=lambda one: (one[1] - one[0], one[2]))
-    return "; ".join(f"{code}: {done} reached, {of - done} failed" for of, done, code in counts)
+    codes = np.concatenate([gauss_codes(table["goal_visits"]) for table in tables])
+    success = np.concatenate([table["success"] for table in tables])
+    reached, failed = (Counter(codes[rows].tolist()) for rows in (success, ~success))
+    order = sorted({*reached, *failed}, key=lambda code: (-failed[code], code))
+    return "; ".join(f"{code}: {reached[code]} reached, {failed[code]} failed" for code in order)
 
 
 def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
@@ -271,13 +272,9 @@ def _indexed(codes: NDArray[np.str_]) -> tuple[list[str], list[int]]:
 
 def _crossings(points: Array) -> list[list[float]]:
     """Return over position and under position (in beads) and sign of each crossing."""
-    crossings = find_crossings(points)
-    return [
-        [round(float(over), 2), round(float(under), 2), int(sign)]
-        for over, under, sign in zip(
-            crossings.over_place, crossings.under_place, crossings.sign, strict=True
-        )
-    ]
+    found = find_crossings(points)
+    rows = zip(found.over_place.tolist(), found.under_place.tolist(), found.sign, strict=True)
+    return [[round(over, 2), round(under, 2), int(sign)] for over, under, sign in rows]
 
 
 def _encoded(points: Array) -> str:
