@@ -288,5 +288,5 @@ def test_the_citation_has_the_version_of_the_package() -> None:
 )
 def test_what_train_and_test_share_is_as_computed(name: str) -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]
-    for row in datasets.summary(datasets.locate(name))[1]["train and test"].rows:
+    for row in datasets.summary(datasets.locate(name))[2]["train and test"].rows:
         assert f"| `{name}` | {' | '.join(map(str, row))} |" in said

@@ -113,7 +113,7 @@ def test_the_wheel_installs_elsewhere_and_loads_its_assets(tmp_path: Path) -> No
         names = set(archive.namelist())
         archive.extractall(tmp_path / "site")
     assert {"knotgym/py.typed", "knotgym/states/curated/states.h5"} <= names
-    assert "knotgym/datasets/cards/state_card.md" in names
+    assert "knotgym/datasets/card_templates/state_card.md" in names
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"knotgym"}
     code = (
         "import gymnasium, knotgym; gymnasium.make('knotgym/Convert-v0', nx=4).reset(seed=0);"

@@ -12,7 +12,7 @@ from rich.console import Console
 from knotgym.cli.program import shown
 from knotgym.common import Failed, InvalidFile, InvalidInput, atomic_write, one_line, require_output
 from knotgym.control import replay
-from knotgym.datasets import in_words, locate, open_episodes, show_episodes, summary, try_files
+from knotgym.datasets import in_words, locate, open_episodes, summary, try_files
 from knotgym.generate import claims, read_entry
 from knotgym.generate import faults as dataset_faults
 from knotgym.generate import film as film_of
@@ -39,13 +39,11 @@ def print_summary(named: str, console: Console) -> None:
             _print_table(rows, rows[0][:1], None, console)
         return
     found = locate(named)
-    if found.kind == "episodes":
-        for path in found.episodes:
-            _print_facts(show_episodes(path), console)
-        return
-    lines, tables = summary(found)
-    for line in [f"{named}: {lines[0]}", *lines[1:]]:
-        _say(console, line)
+    each, lines, tables = summary(found)
+    for facts in each:
+        _print_facts(facts, console)
+    for k, line in enumerate(lines):
+        _say(console, line if k else f"{named}: {line}")
     for one in tables.values():
         if one.rows:
             _print_table([one.head, *one.rows], one.left, one.title, console)

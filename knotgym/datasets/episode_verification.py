@@ -7,7 +7,6 @@ A goal must be the state that its row names, bit for bit. Reset noise moves a st
 near the state that its row names, or at least near none of another split.
 """
 
-from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -16,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym import common
 from knotgym.common import Array, Counts, InvalidFile, KnotgymError, MissingFile, Stream, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
@@ -27,8 +25,6 @@ from knotgym.states import NEAR, Spectra, pairs_within, repeated
 from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
 Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.replay`
-# of the metadata: a word that nothing confirms, and that may be a stranger's
-_CLAIMED = ("author", "algorithm_name", "ref_min_score", "ref_max_score", "code_permalink")
 _BLOCK = 1024  # episodes played again at a time
 # metres, root mean square over the beads, after the best translation and rotation about z. Reset
 # noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
@@ -128,39 +124,6 @@ def _faults(source: Any, replay: Replay, sample: int) -> Iterator[str]:
         yield from minari_faults(dataset)
 
 
-def show_episodes(source: Any) -> dict[str, Any]:
-    """Summarize a file of episodes or a Minari dataset; every value can be written as JSON."""
-    dataset = open_episodes(source)
-    rows, size = dataset.episodes.episodes, dataset.path.stat().st_size
-    goals = gauss_codes(rows["goal_visits"])
-    policies = rows["policy"] if len(set(rows["policy"].tolist())) > 1 else np.full(rows.rows, "")
-    by_policy = [f"{name} {goal}".strip() for name, goal in zip(policies, goals, strict=True)]
-    missed = [] if dataset.task.endless else dataset.episodes.missed(by_policy, rows["success"])
-    return {
-        "path": str(dataset.path),
-        "dataset_id": (dataset.metadata or {}).get("dataset_id"),
-        "form": dataset.attributes["form"],
-        "task": common.as_json(dataset.task),
-        "episodes": rows.rows,
-        "steps": int(rows["length"].sum()),
-        "lengths": _spread(rows["length"]),
-        "returns": _spread(rows["return_"]),
-        "successes": int(rows["success"].sum()),
-        "success_rate": float(rows["success"].mean()) if rows.rows else None,
-        "simulation_failures": int(rows["diverged"].sum()),
-        "policies": _counted(rows["policy"]),
-        "distinct": dataset.episodes.distinct(),
-        "goals": _counted(goals),
-        "missed goals": {goal: f"{n} of {of}" for goal, (n, of) in missed} or None,
-        "bytes": size,
-        "bytes_per_step": size / max(1, int(rows["length"].sum())),
-        "rope": dataset.attributes.get("rope"),
-        "versions": dataset.attributes.get("versions"),
-        "claimed": {k: v for k in _CLAIMED if (v := (dataset.metadata or {}).get(k))} or None,
-        "columns nothing can make again": ", ".join(dataset.episodes.claims()) or None,
-    }
-
-
 def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield the faults for which nothing else can be checked."""
     rows, steps = dataset.episodes
@@ -221,17 +184,6 @@ def _code_faults(dataset: EpisodeDataset) -> Iterator[str]:
             yield f"{where}: starts as {here}, and its goal is {there}: {why}"
         elif begins[row] == goal and goal:
             yield f"{where}: starts in its goal's code"
-
-
-def _counted(names: NDArray[Any]) -> dict[str, int]:
-    return dict(sorted(Counter(names.tolist()).items()))
-
-
-def _spread(values: NDArray[Any]) -> dict[str, float] | None:
-    if not len(values):
-        return None
-    least, middle, most = np.quantile(values, [0.0, 0.5, 1.0]).tolist()
-    return {"min": least, "mean": float(values.mean()), "median": middle, "max": most}
 
 
 def _split_faults(dataset: EpisodeDataset) -> list[str]:

@@ -9,7 +9,6 @@ of Hugging Face's Image feature. pyarrow is imported on demand.
 import hashlib
 import json
 import os
-import struct
 import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -18,7 +17,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,6 +30,7 @@ from knotgym.common import (
     require_no_links,
     require_regular,
 )
+from knotgym.datasets.png import encode
 from knotgym.quality import Limits, Quality, grade_of
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer, Drawn
 from knotgym.states import IMAGE_SPLITS, STATES, RopeAtRest
@@ -43,8 +42,6 @@ _DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `_cont
 _ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
 _LEAST_ROW = 64  # bytes; every row stores more, because it has its own picture
 _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
-_LARGEST = 4096  # pixels, side of the largest picture that is decoded
-_PNG = b"\x89PNG\r\n\x1a\n"
 
 # `columns.toml` has the types of Arrow, from which the schema of pyarrow is made
 _COLUMNS_FILE = files("knotgym.datasets") / "columns.toml"
@@ -119,19 +116,23 @@ class PictureRow(NamedTuple):
     source: dict[str, Any]
     camera: tuple[float, float] = (0.0, 0.0)
 
-
-def drawn_table(rows: Sequence[PictureRow], config: AppearanceConfig) -> Any:
-    """Render rows as a pyarrow.Table."""
-    drawer, records = Drawer.of(config.name), list[dict[str, Any]]()
-    ropes = RopeAtRest.measured(np.array([row.points for row in rows]))
-    for row, rope in zip(rows, ropes, strict=True):
-        rng = Stream.IMAGE_APPEARANCE.generator(row.source["seed"], row.source["row"])
-        drawn = drawer.sampled(row.points, config, rng, row.camera, rope.crossings)
-        given = {"points": row.points.ravel().tolist(), "source": row.source, "split": row.split}
-        look = {name: getattr(drawn.look, name) for name in COLUMNS["appearance"]}
-        records.append({**derived(rope, drawn), **given, "appearance": look})
-        Counts.end_item()
-    return _table_of(records)
+    @staticmethod
+    def drawn(rows: Sequence["PictureRow"], config: AppearanceConfig) -> Any:
+        """Render rows as a pyarrow.Table."""
+        drawer, records = Drawer.of(config.name), list[dict[str, Any]]()
+        ropes = RopeAtRest.measured(np.array([row.points for row in rows]))
+        for row, rope in zip(rows, ropes, strict=True):
+            rng = Stream.IMAGE_APPEARANCE.generator(row.source["seed"], row.source["row"])
+            picture = drawer.sampled(row.points, config, rng, row.camera, rope.crossings)
+            given = {
+                "points": row.points.ravel().tolist(),
+                "source": row.source,
+                "split": row.split,
+            }
+            look = {name: getattr(picture.look, name) for name in COLUMNS["appearance"]}
+            records.append({**derived(rope, picture), **given, "appearance": look})
+            Counts.end_item()
+        return _table_of(records)
 
 
 def derived(rope: RopeAtRest, drawn: Drawn) -> dict[str, Any]:
@@ -170,39 +171,6 @@ def parquet(rows: Any) -> bytes:
         table, sink, row_group_size=_ROW_GROUP, compression="zstd", write_page_index=True
     )
     return bytes(sink.getvalue())
-
-
-def encode(image: NDArray[np.uint8], *, grained: bool = False) -> bytes:
-    """Encode a picture, uint8 (size, size, 3), RGB, or (size, size), as PNG.
-
-    Flat colours are stored as they are, in runs: a thirtieth of the time of zlib's level 9, and an
-    eighth smaller. Where each pixel differs (`grained`), rows are stored as differences, at level
-    1: less than half the time of level 3, and a fourteenth larger.
-    """
-    png, flags = cv2.IMWRITE_PNG_FILTER, [cv2.IMWRITE_PNG_COMPRESSION, 1]
-    if grained:
-        flags += [png, cv2.IMWRITE_PNG_FILTER_UP]
-    else:
-        runs = cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE
-        flags += [png, cv2.IMWRITE_PNG_FILTER_NONE, *runs]
-    stored = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
-    done, data = cv2.imencode(".png", stored, flags)
-    if not done:
-        raise InvalidFile(f"a picture is uint8 (size, size, 3), got {image.dtype} {image.shape}")
-    return bytes(data)
-
-
-def decode(data: bytes) -> NDArray[np.uint8]:
-    """Decode a PNG of at most _LARGEST pixels a side to uint8 (size, size, 3), RGB."""
-    if len(data) < 33 or data[:8] != _PNG:
-        raise InvalidFile(f"{len(data)} bytes that aren't a PNG picture")
-    width, height = struct.unpack(">II", data[16:24])
-    if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
-        raise InvalidFile(f"a picture has at most {_LARGEST} pixels a side, got {width} x {height}")
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InvalidFile(f"{len(data)} bytes that aren't a PNG picture")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
 def shard_name(split: str, index: int, count: int) -> str:

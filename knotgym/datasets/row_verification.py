@@ -37,6 +37,7 @@ from knotgym.datasets.episode_verification import Replay, ReplayFault, episode_f
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import listed_faults, read_manifest
+from knotgym.datasets.png import decode
 from knotgym.drawing import DrawingConfig, drawn_curve
 from knotgym.envs import TaskConfig
 from knotgym.quality import Limits, Quality
@@ -197,7 +198,7 @@ def _unlike(name: str, stored: Any, right: Any) -> Iterator[str]:
             yield from _unlike(f"{name}.{inner}", stored.get(inner, part), part)
     elif isinstance(right, (bytes, np.ndarray)):
         # the same picture may be compressed in other ways
-        read: Any = image_table.decode if isinstance(right, bytes) else np.asarray
+        read: Any = decode if isinstance(right, bytes) else np.asarray
         if not np.array_equal(read(stored), read(right)):
             yield f"{name} is not the picture of points"
     elif stored != right:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Array, Failed, InvalidInput, MissingExtra, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
-from knotgym.datasets import STEPS, Episodes, PictureRow, drawn_table, finish, parquet, shard_name
+from knotgym.datasets import STEPS, Episodes, PictureRow, finish_pictures, parquet, shard_name
 from knotgym.envs import TaskConfig
 from knotgym.generate.generate_config import ImagesConfig
 from knotgym.quality import base_spacing, grade_of, measure_all
@@ -96,7 +96,7 @@ def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> A
     own = Stream.STREAM_PICTURES.derived_seed(seed, number)
     pictures = _Pictures(replace(config, seed=own), plan._replace(quota=quota))
     rows = [row for rows in compute(pictures.files()).values() for row in rows]
-    return drawn_table(rows, config.appearance)
+    return PictureRow.drawn(rows, config.appearance)
 
 
 @lru_cache(maxsize=2)
@@ -200,14 +200,14 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    finish(place, pictures.report(), made)
+    finish_pictures(place, pictures.report(), made)
     held = f"; all of nx {', '.join(map(str, config.held_nx))} in split test-nx"
     return f"{len(pictures.chosen)} pictures{held if config.held_nx else ''}"
 
 
 def _drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> Result:
     """Render rows; return the bytes of their Parquet file."""
-    return {"parquet": np.frombuffer(parquet(drawn_table(rows, config)), dtype=np.uint8)}
+    return {"parquet": np.frombuffer(parquet(PictureRow.drawn(rows, config)), dtype=np.uint8)}
 
 
 class _Pictures:

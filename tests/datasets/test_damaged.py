@@ -15,7 +15,7 @@ from synthetic_pictures import picture_rows
 from knotgym.cli import main
 from knotgym.common import InvalidFile
 from knotgym.datasets import columns_of, locate, open_episodes, write_episodes
-from knotgym.datasets.image_table import drawn_table, parquet, rows_of
+from knotgym.datasets.image_table import PictureRow, parquet, rows_of
 from knotgym.datasets.merging import merge
 from knotgym.rendering import AppearanceConfig
 from knotgym.states import read_states, shipped
@@ -52,7 +52,7 @@ def refused(command: str, path: Path, capfd: Capture) -> str:
 def rows() -> list[dict[str, Any]]:
     """Rows of three pictures."""
     ropes = read_states(shipped(), images=False).points[[20, 70, 120]]
-    return [*rows_of(drawn_table(picture_rows(ropes), AppearanceConfig(sizes=(64,))))]
+    return [*rows_of(PictureRow.drawn(picture_rows(ropes), AppearanceConfig(sizes=(64,))))]
 
 
 @pytest.mark.parametrize("command", [*COMMANDS])

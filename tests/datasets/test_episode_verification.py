@@ -11,10 +11,10 @@ from synthetic_episodes import TINY
 import knotgym
 from knotgym.common import Table
 from knotgym.control import replay
-from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episode_verification import episode_faults
 from knotgym.datasets.episodes import STEPS, gauss_codes
+from knotgym.datasets.summaries import show_episodes
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from synthetic_episodes import TASK, TINY, episodes, written
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.control import replay
 from knotgym.datasets import open_episodes, write_episodes
-from knotgym.datasets.cards import citation_file
+from knotgym.datasets.card_texts import citation_file
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.exports import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface

@@ -16,7 +16,8 @@ import knotgym
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.datasets import image_table as tables
 from knotgym.datasets import select
-from knotgym.datasets.image_table import arrow, decode, drawn_table, encode, read_rows, read_table
+from knotgym.datasets.image_table import PictureRow, arrow, read_rows, read_table
+from knotgym.datasets.png import decode, encode
 from knotgym.datasets.row_verification import _image_faults
 from knotgym.datasets.subsets import kept
 from knotgym.rendering import AppearanceConfig
@@ -30,7 +31,7 @@ def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A shard with one picture."""
     rows = picture_rows(read_states(shipped(), images=False).points[[20]])
     path = tmp_path_factory.mktemp("shard") / "train-00000-of-00001.parquet"
-    path.write_bytes(tables.parquet(drawn_table(rows, AppearanceConfig())))
+    path.write_bytes(tables.parquet(PictureRow.drawn(rows, AppearanceConfig())))
     return path
 
 

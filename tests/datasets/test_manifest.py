@@ -12,11 +12,11 @@ from pytest_types import Capture, Patch
 
 import knotgym
 from knotgym.common import InvalidFile, read_json
-from knotgym.datasets import cards
 from knotgym.datasets import manifest as manifests
+from knotgym.datasets import state_card
 from knotgym.datasets.episode_verification import ReplayFault
-from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.manifest import listed_faults, machine, read_manifest
+from knotgym.datasets.state_card import write_gallery
 from knotgym.generate import faults as dataset_faults
 from knotgym.states import States
 
@@ -132,8 +132,8 @@ def test_a_file_of_a_states_folder_and_a_field_of_its_manifest(
     class Manifest(manifests._Manifest):
         report: Report = Report()
 
-    finish = cards.finish
-    monkeypatch.setattr(cards, "write_gallery", gallery)
+    finish = state_card.finish
+    monkeypatch.setattr(state_card, "write_gallery", gallery)
     monkeypatch.setattr(manifests, "_Manifest", Manifest)
     monkeypatch.setattr(
         "knotgym.generate.state_recipe.finish",

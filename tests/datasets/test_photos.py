@@ -13,11 +13,12 @@ from synthetic_pictures import picture_rows
 
 from knotgym.common import InvalidFile, Occupied
 from knotgym.control import replay
-from knotgym.datasets.cards.croissant import write_croissant
+from knotgym.datasets.croissant import write_croissant
 from knotgym.datasets.exports import export
-from knotgym.datasets.image_table import decode, drawn_table, parquet, read_rows, read_table
+from knotgym.datasets.image_table import PictureRow, parquet, read_rows, read_table
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import _page_data, _page_html
+from knotgym.datasets.png import decode
 from knotgym.datasets.row_verification import _picture_faults
 from knotgym.rendering import AppearanceConfig, Drawer
 from knotgym.states import read_states, shipped
@@ -32,7 +33,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     made = picture_rows([points for points, _ in seen], cameras=[camera for _, camera in seen])
     path = folder / "data/train-00000-of-00001.parquet"
     path.parent.mkdir()
-    path.write_bytes(parquet(drawn_table(made, config)))
+    path.write_bytes(parquet(PictureRow.drawn(made, config)))
     return list(read_rows(path))
 
 
@@ -57,7 +58,7 @@ def test_a_table_of_cut_ropes_is_read_verified_and_exported(tmp_path: Path) -> N
     states = read_states(shipped("bench"), images=False)
     ropes = states.points[states.rows(3, "test")[:6]]
     path = tmp_path / "test.parquet"
-    path.write_bytes(parquet(drawn_table(picture_rows(ropes, "test"), config)))
+    path.write_bytes(parquet(PictureRow.drawn(picture_rows(ropes, "test"), config)))
     held = list(read_rows(path))
     assert len({row["ropes_code"].count(";") for row in held}) > 1
     for row in held:

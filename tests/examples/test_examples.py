@@ -13,7 +13,7 @@ import pytest
 from pytest_types import Capture, Patch
 from synthetic_pictures import picture_rows
 
-from knotgym.datasets import drawn_table, parquet, read_rows
+from knotgym.datasets import PictureRow, parquet, read_rows
 from knotgym.generate import ImagesConfig, make_images
 from knotgym.rendering import AppearanceConfig
 from knotgym.runs import RunOptions
@@ -90,7 +90,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(tmp_path: Path, capsys: Captu
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
     look = AppearanceConfig(name="line", vary=("turn",))
     rows = picture_rows(states.points[chosen], "test")
-    (tmp_path / "table.parquet").write_bytes(parquet(drawn_table(rows, look)))
+    (tmp_path / "table.parquet").write_bytes(parquet(PictureRow.drawn(rows, look)))
     answers = tmp_path / "answers.jsonl"
     script = FOLDER / "perception" / "transcribe.py"
     run_script(script, tmp_path / "table.parquet", "--out", answers)

@@ -14,7 +14,7 @@ import pytest
 from pytest_types import Capture, Patch
 
 from knotgym.common import Failed, InvalidFile, InvalidInput
-from knotgym.datasets import PictureRow, decode, drawn_table, parquet, read_rows, read_table, shards
+from knotgym.datasets import PictureRow, decode, parquet, read_rows, read_table, shards
 from knotgym.generate import faults as dataset_faults
 from knotgym.generate.generate_config import ImagesConfig
 from knotgym.generate.image_recipe import _shown, _symmetry_of, make_images
@@ -96,7 +96,7 @@ def test_a_near_duplicate_in_another_split_is_found(
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = PictureRow(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
     file = tmp_path / "data.parquet"
-    file.write_bytes(parquet(drawn_table([planted], AppearanceConfig())))
+    file.write_bytes(parquet(PictureRow.drawn([planted], AppearanceConfig())))
     file.write_bytes(parquet([train, *read_rows(file)]))
     [fault] = dataset_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault

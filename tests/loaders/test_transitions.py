@@ -12,7 +12,7 @@ from synthetic_episodes import BEADS, TASK, TINY, episodes, written
 from synthetic_pictures import picture_rows
 
 from knotgym.common import InvalidFile, InvalidInput, Occupied, Table
-from knotgym.datasets import STEPS, Episodes, drawn_table, open_episodes, parquet
+from knotgym.datasets import STEPS, Episodes, PictureRow, open_episodes, parquet
 from knotgym.envs import KnotEnv
 from knotgym.loaders import (
     GoalSampling,
@@ -243,7 +243,7 @@ def test_sequences_are_copies_of_the_columns(made: Episodes, path: Path) -> None
 def test_items_of_all_datasets_are_taken_by_any_index(path: Path, tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     ropes = open_episodes(TINY["expert"]).episodes.steps["observation"][:4].astype(np.float64)
-    table = drawn_table(picture_rows([*ropes]), AppearanceConfig())
+    table = PictureRow.drawn(picture_rows([*ropes]), AppearanceConfig())
     (tmp_path / "train.parquet").write_bytes(parquet(table))
     every: Any = torch_dataset(path), Sequences(path, 3), images(tmp_path / "train.parquet")
     for data in every:

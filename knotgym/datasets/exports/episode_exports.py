@@ -44,12 +44,12 @@ import h5py
 import numpy as np
 
 from knotgym.common import Counts, InvalidInput, atomic_write, require_output
-from knotgym.datasets.cards import citation_file, filled_template, plain, table, write_text
+from knotgym.datasets.card_texts import citation_file, filled_template, plain, table, write_text
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, columns_of
 from knotgym.datasets.episode_verification import Replay
-from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.located import Located
 from knotgym.datasets.minari_form import METADATA, copy_file, data_files, metadata_of, write_minari
+from knotgym.datasets.sheets import write_episode_gallery
 from knotgym.envs import OBSERVATIONS
 
 _HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
@@ -95,7 +95,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
     namespace = json.dumps({**about, "datasets": sorted(sources)})
     write_text(repository / "namespace_metadata.json", namespace)
     write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
-    write_gallery(repository / "gallery.png", [*sources.values()])
+    write_episode_gallery(repository / "gallery.png", [*sources.values()])
     rows = [tuple(map(plain, (name, *entries[name]))) for name in sorted(entries)]
     listed = {"first": json.dumps(rows[0][0]), "datasets": table(_HEAD, rows)}
     card = filled_template("minari_card.md", repository=plain(repository.name), **listed)

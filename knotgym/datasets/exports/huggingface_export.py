@@ -23,14 +23,17 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common import Counts, InvalidInput, Schema, Table
-from knotgym.datasets import cards
-from knotgym.datasets.cards.croissant import write_croissant
+from knotgym.datasets import card_texts as cards
+from knotgym.datasets.croissant import write_croissant
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
-from knotgym.datasets.episode_verification import Replay, show_episodes
+from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.episodes import STEPS, Episodes, columns_in, gauss_codes
-from knotgym.datasets.gallery import write_gallery
-from knotgym.datasets.image_table import arrow, encode, picture_column, shown
+from knotgym.datasets.image_table import arrow, picture_column, shown
 from knotgym.datasets.located import Located
+from knotgym.datasets.png import encode
+from knotgym.datasets.sheets import write_episode_gallery
+from knotgym.datasets.state_card import write_gallery
+from knotgym.datasets.summaries import in_words, show_episodes
 from knotgym.envs import OBSERVATIONS
 from knotgym.states import SPLITS, States, read_states, repeated
 
@@ -71,7 +74,10 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
             rows.setdefault(config, {})[split], pages[config] = count, page
     if not rows:
         raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
-    write_gallery(folder / "gallery.png", source.episodes if states is None else states)
+    if states is None:
+        write_episode_gallery(folder / "gallery.png", source.episodes)
+    else:
+        write_gallery(folder / "gallery.png", states)
     cards.write_text(folder / "CITATION.cff", cards.citation_file(source.title))
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
     engines = [one.task.engine for one in datasets]
@@ -96,9 +102,9 @@ def _facts(datasets: Sequence[EpisodeDataset]) -> str:
     """Return what `dataset show` says of episodes, a column for each dataset, in Markdown."""
     every = [show_episodes(one) for one in datasets]
     rows = [
-        (name, *(cards.plain(cards.in_words(one[name])) for one in every))
+        (name, *(cards.plain(in_words(one[name])) for one in every))
         for name in every[0]
-        if name not in _OF_FILES and any(cards.in_words(one[name]) for one in every)
+        if name not in _OF_FILES and any(in_words(one[name]) for one in every)
     ]
     return "\n".join(cards.table(("", *(cards.plain(one.name) for one in datasets)), rows))
 

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common import Counts, InvalidInput
 from knotgym.datasets.episode_verification import Replay
-from knotgym.datasets.image_table import decode, file_stem, read_rows, read_table
+from knotgym.datasets.image_table import file_stem, read_rows, read_table
 from knotgym.datasets.located import Located
+from knotgym.datasets.png import decode
 from knotgym.states import IMAGE_SPLITS
 
 _PER_SHARD = 1000  # most pictures in a tar file

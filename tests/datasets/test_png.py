@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from knotgym.datasets.gallery import Tile, _contact_sheet
+from knotgym.datasets.png import Tile, contact_sheet, decode
 from knotgym.rendering import Film
 
 
 def test_a_contact_sheet_holds_every_picture_unchanged_in_a_frame_of_its_colour() -> None:
     images = np.random.default_rng(0).integers(0, 255, (5, 16, 16, 3), dtype=np.uint8)
     colour = Film.OUTCOMES["failed"]
-    sheet = _contact_sheet([Tile(image, ("a", "b"), colour) for image in images], columns=2)
+    tiles = [Tile(image, ("a", "b"), colour) for image in images]
+    sheet = decode(contact_sheet(tiles, columns=2))
     assert sheet.shape == (3 * 58, 2 * 28, 3)
     for k, image in enumerate(images):
         top, left = k // 2 * 58 + 6, k % 2 * 28 + 6

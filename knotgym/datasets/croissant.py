@@ -6,12 +6,11 @@ every dataset: the context that mlcroissant writes, licence, and the responsible
 
 import json
 import re
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from knotgym.common import sha256
-from knotgym.datasets.cards import BIBTEX, write_text
+from knotgym.datasets.card_texts import BIBTEX, TEMPLATES, write_text
 from knotgym.datasets.image_table import arrow
 
 _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "double": "sc:Float"}
@@ -24,7 +23,7 @@ def write_croissant(folder: Path, name: str, description: str, appearance: str =
     Writes `croissant.json`. The file of an appearance of pictures, such as `photo.json`, if there
     is one, replaces some of its texts.
     """
-    texts = [files("knotgym.datasets.cards") / f"{name}.json" for name in ("croissant", appearance)]
+    texts = [TEMPLATES / f"{name}.json" for name in ("croissant", appearance)]
     fixed = [json.loads(text.read_text("utf-8")) for text in texts if text.is_file()]
     paths = [path.relative_to(folder) for path in sorted(folder.glob("data/**/*.parquet"))]
     described = {
