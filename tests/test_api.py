@@ -77,20 +77,6 @@ def sources() -> list[Path]:
     return [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *files]
 
 
-# where an error of Python's own is caught at once, or is what Python asks for
-PLAIN = {"learn/training.py", "learn/checkpoint.py", "loaders/data_stream.py"}
-
-
-def test_every_refusal_is_a_knotgym_error() -> None:
-    plain = re.compile(r"raise (?:ValueError|RuntimeError|TypeError|FileNotFoundError)\(")
-    root = ROOT / "knotgym"
-    assert PLAIN == {
-        path.relative_to(root).as_posix()
-        for path in root.rglob("*.py")
-        if plain.search(path.read_text(encoding="utf-8"))
-    }
-
-
 @pytest.mark.parametrize("name", PACKAGES)
 def test_a_public_name_is_never_that_of_a_module_beside_it(name: str) -> None:
     # whichever came last, the module or the name, would be what the package gives

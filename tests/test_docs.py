@@ -170,13 +170,6 @@ def test_the_page_of_an_own_task_runs_line_by_line(tmp_path: Path) -> None:
         subprocess.run(words, cwd=tmp_path, env=own, check=True, timeout=600)
 
 
-def test_every_page_is_in_the_navigation() -> None:
-    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("nav:")[1].split("extra_css")[0]
-    assert {*re.findall(r"[\w/-]+\.md", text)} == {
-        str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")
-    }
-
-
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
 def test_links_lead_to_files_and_files_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")

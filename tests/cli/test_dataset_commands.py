@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_what_takes_long_with_much_data_counts_what_is_done(
     np.savetxt("curve.csv", trefoil(), delimiter=",")
     told: dict[str, list[tuple[float, int]]] = {}
 
-    def hear(_: Progress, stage: str, done: Counts.Done = 0, total: int = 0) -> None:
+    def hear(_: Any, stage: str, done: Counts.Done = 0, total: int = 0, **more: Any) -> None:
         if total:
             told.setdefault(stage, []).append((done() if callable(done) else done, total))
 

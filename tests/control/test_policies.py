@@ -127,15 +127,12 @@ class Own:
 
     # what returns something else than pulls
 
-    none, list_of = wrong(lambda player, ids: None), wrong(lambda player, ids: [0] * len(ids))
+    none = wrong(lambda player, ids: None)
     others = wrong(lambda p, ids: Pulls(ids + 9, ids, np.zeros((len(ids), 3), np.float32)))
     many = wrong(lambda p, ids: Pulls(ids, ids, np.zeros((len(ids), 4), np.float32)))
     strong = wrong(lambda p, ids: Pulls(ids, ids, np.full((len(ids), 3), 2, np.float32)))
-    absent_bead = wrong(lambda p, ids: Pulls(ids, ids + 100, np.zeros((len(ids), 3), np.float32)))
     raising = wrong(_raise)
-    far, nothing, short = giving([0.0] * 5 + [7.0]), giving(float("nan")), giving([0.0] * 5)
-    imaginary = giving(np.zeros(6, np.complex64))
-    three = 3
+    far, imaginary = giving([0.0] * 5 + [7.0]), giving(np.zeros(6, np.complex64))
 
     @staticmethod
     def two(observation: object, info: object) -> list[float]:
@@ -277,16 +274,12 @@ def test_functions_objects_and_policies_of_the_user_act(name: str, pull: float) 
     ("name", "says"),
     [
         ("far", "must give 6 finite numbers in .* got .*7.0"),
-        ("nothing", "must give 6 finite numbers"),
         ("imaginary", "must give 6 finite numbers"),
-        ("short", "must give 6 finite numbers .* got .0.0, 0.0, 0.0, 0.0, 0.0."),
         ("faulty", "own:faulty raised KeyError: 'no such weight' .test_policies.py, line"),
         ("leaving", "own:leaving raised SystemExit.* .test_policies.py, line"),
-        ("three", "must be a function of"),
         ("two", "must be a function of"),
         ("absent", "absent"),
-        *((name, "must return Pulls") for name in ("none", "list_of", "others", "many", "strong")),
-        ("absent_bead", "must return Pulls"),
+        *((name, "must return Pulls") for name in ("none", "others", "many", "strong")),
         ("raising", "own:raising raised RuntimeError: out of memory .test_policies.py, line"),
     ],
 )

@@ -100,15 +100,6 @@ def test_a_recording_that_is_not_what_was_written_is_not_expanded(of: str, tmp_p
     assert not out.exists() and verify(recording)
 
 
-def test_several_datasets_become_a_folder_of_files(root: Path, tmp_path: Path) -> None:
-    both = tmp_path / "root"
-    for name in ("a", "b"):
-        merge([EXPERT], both, f"knotgym/tie-nx2/{name}-v0")
-    assert export(str(both), tmp_path / "files", "compact", replay).startswith("6 episodes in 2")
-    names = {path.name for path in (tmp_path / "files").iterdir()}
-    assert names == {"manifest.json", "tie-nx2-a-v0.h5", "tie-nx2-b-v0.h5"}
-
-
 def test_ogbench_files_hold_every_state_once(tmp_path: Path) -> None:
     export(EXPERT, tmp_path, "ogbench", replay)
     dataset = open_episodes(EXPERT)

@@ -97,17 +97,6 @@ def test_nothing_in_a_file_becomes_markup(states: States, tmp_path: Path) -> Non
     assert json.loads(played.data)["episodes"][0]["policy"] == HOSTILE
 
 
-def test_pages_at_their_limits_stay_under_10_mb(shown: dict[str, Any]) -> None:
-    def size(value: Any) -> int:
-        return len(json.dumps(value))
-
-    frames = sum(len(one["code"]) for one in shown["episodes"])
-    films = size(shown["episodes"]) / frames * data_module.MOST_FRAMES
-    count = len(shown["states"])
-    states = (size(shown["states"]) + size(shown["points"])) / count * data_module.MOST_STATES
-    assert films + states < 9e6
-
-
 def test_a_large_set_is_sampled_and_says_so(states_path: str, monkeypatch: Patch) -> None:
     monkeypatch.setattr(data_module, "MOST_STATES", 3)
     monkeypatch.setattr(data_module, "MOST_FRAMES", 7)

@@ -9,13 +9,11 @@ import pytest
 from pytest_types import Patch
 from synthetic_episodes import TASK, TINY, episodes, written
 
-import knotgym
 from knotgym.common import InvalidInput, MissingFile
 from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.subsets import _matching_rows, _write_rows, kept
-from knotgym.loaders import arrays
 from knotgym.states import States, read_states, shipped, write_states
 
 COLUMNS = {
@@ -47,15 +45,11 @@ def test_a_condition_keeps_the_rows_that_fulfil_it(text: str, rows: list[int]) -
     ("text", "says"),
     [
         ("length < 30", "columns are row, nx, policy"),
-        ("read_csv('/etc/passwd')", "unsupported function"),
         ("(SELECT count(*) FROM read_csv('/etc/passwd')) > 0", "not a query"),
-        ("exists (select 1)", "not a query"),
         ("nx", "true or false"),
         ("1 < nx < 4", "join conditions by and"),
         ("nx = 'a'", "cannot compare"),
         ("nx = 3; drop table x", "invalid expression"),
-        ("nx ==", "unable to parse"),
-        ("", "unable to parse"),
         ("\x1b[2J", "unable to parse"),
         ("nx = 3 or " * 500 + "nx = 3", "up to 2000 characters"),
     ],
@@ -105,6 +99,8 @@ def test_merged_sets_of_one_name_keep_all_digests_and_equal_scores(
         made.append(str(publish([episodes([2], seed)], TASK, about, tmp_path / str(seed))))
     merge(made, tmp_path, "knotgym/both-v0")
     whole = open_episodes(tmp_path / "knotgym/both-v0").metadata or {}
+    assert whole["description"].startswith(f"Merged of {name}, {name}")
+    assert whole["algorithm_name"] == "random"
     assert whole["digests"] == {name: {"s": 0}, f"{name} (2)": {"s": 1}}
     assert whole["ref_min_score"] == (-4.0 if kept else None)
 
@@ -184,32 +180,6 @@ def test_states_without_demonstrations_are_split(tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", bare)
     parts = split(tmp_path / "s.h5", "a=0.5,b=0.5", out=tmp_path / "p.h5")
     assert [len(read_states(one)) for one in parts] == [4, 4]
-
-
-def test_a_set_with_macro_actions_and_one_without_are_merged(tmp_path: Path) -> None:
-    merge([str(one) for one in TINY.values()], tmp_path / "m.h5")
-    steps = open_episodes(tmp_path / "m.h5").episodes.steps
-    acted = np.split(steps["macro_side"] != 0, [open_episodes(TINY["expert"]).episodes.steps.rows])
-    assert acted[0].any() and not acted[1].any()
-    arrays([*TINY.values()], observation="state", action="decision")
-    assert knotgym.verify(tmp_path / "m.h5") == []
-
-
-def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:
-    folders = []
-    for k in range(2):
-        metadata = MinariMetadata(
-            dataset_id=f"knotgym/tie-nx2/p{k}-v0",
-            algorithm_name=f"p{k}",
-            description="",
-            digests={"policy": str(k)},
-        )
-        folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path)))
-    merge(folders, tmp_path, "knotgym/tie-nx2/both-v0")
-    found = open_episodes(tmp_path / "knotgym/tie-nx2/both-v0").metadata or {}
-    assert found["description"].startswith("Merged of knotgym/tie-nx2/p0-v0, knotgym/")
-    assert found["algorithm_name"] == "random"
-    assert [*found["digests"]] == ["knotgym/tie-nx2/p0-v0", "knotgym/tie-nx2/p1-v0"]
 
 
 def test_what_does_not_belong_together_is_not_merged(states_path: str, tmp_path: Path) -> None:

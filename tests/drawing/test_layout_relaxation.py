@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.drawing.layout_relaxation import _square, _stiffen, relax_layout
+from knotgym.drawing.layout_relaxation import _square, _stiffen
 
 Array = NDArray[np.float64]
 # a figure of eight: node 0 is the crossing, the walk passes it twice
@@ -60,28 +60,3 @@ def test_a_force_is_minus_the_gradient_of_its_energy(name: str) -> None:
         slope = gradient(square, AT)
     assert np.abs(slope).max() > 1e-3
     assert np.abs(force + slope).max() < 1e-6 * np.abs(slope).max() + 1e-9
-
-
-def test_relaxing_squares_the_crossing_and_keeps_the_faces_of_a_figure_of_eight() -> None:
-    left, right = np.array([0, 2]), np.array([2, 1])  # faces: the two lobes, then the outside
-    at, walk = relax_layout(AT, WALK, left, right, np.array([1.0, 1.0, 0.0]))
-
-    def angle(points: Array, around: NDArray[np.int64]) -> float:
-        half = len(around) // 2
-        one = points[around[1]] - points[around[-1]]
-        other = points[around[half + 1]] - points[around[half - 1]]
-        return abs(float(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))
-
-    def areas(points: Array, around: NDArray[np.int64]) -> list[float]:
-        loops = np.split(points[around], 2)
-        return [
-            float(
-                (loop[:, 0] * np.roll(loop[:, 1], -1) - loop[:, 1] * np.roll(loop[:, 0], -1)).sum()
-            )
-            for loop in loops
-        ]
-
-    assert angle(at, walk) < 0.2 < angle(AT, WALK)
-    before, after = areas(AT, WALK), areas(at, walk)
-    assert np.sign(before).tolist() == np.sign(after).tolist()
-    assert abs(abs(after[0] / after[1]) - 1) < 0.05  # equal shares, equal areas

@@ -251,8 +251,6 @@ def test_states_that_do_not_fit_are_refused_in_one_line_with_what_the_file_has(
     missing += "of 0_1. Generate some: knotgym-generate --nx {0}$"
     wrong: list[tuple[Any, dict[str, Any], str]] = [
         ("unknot", {"nx": 2, "states": only_nx3}, missing.format(2, 2)),
-        ("tie", {"nx": 6, "states": only_nx3}, missing.format(6, 6)),
-        ("convert", {"nx": 3, "states": only_nx3}, missing.format(2, 3)),
         (
             "tie",
             {"nx": 2, "split": "test", "states": train},

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import runpy
 import subprocess
 import sys
@@ -60,16 +59,6 @@ def test_without_its_library_an_example_ends_in_one_line(script: str, monkeypatc
     path = FOLDER / f"{script}.py"
     with pytest.raises(SystemExit, match=rf"^{path.name} needs \w+: pip install '[^\n]+'$"):
         runpy.run_path(str(path))
-
-
-def test_the_notebook_and_the_page_of_learning_have_the_lines_of_the_readme() -> None:
-    book = json.loads((FOLDER / "quickstart.ipynb").read_text(encoding="utf-8"))
-    cells = "".join("".join(cell["source"]) for cell in book["cells"])
-    page = (ROOT / "docs/learning.md").read_text(encoding="utf-8")
-    readme = (ROOT / "README.md").read_text(encoding="utf-8").split("## Train on it")[1]
-    cells, page, readme = (re.sub(r"\s*\\\n\s*", " ", text) for text in (cells, page, readme))
-    lines = re.findall(r"^    \.venv/bin/(knotgym .+)$", readme, re.M)
-    assert len(lines) == 4 and all(line in cells and line in page for line in lines)
 
 
 @pytest.mark.clients

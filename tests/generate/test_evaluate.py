@@ -20,7 +20,7 @@ from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.generate.evaluation import _report, evaluate
 from knotgym.generate.results import show
 from knotgym.rope import RopeConfig
-from knotgym.runs import Progress, RunOptions, identity
+from knotgym.runs import RunOptions, identity
 
 from ..small_job import knotgym
 
@@ -166,16 +166,6 @@ def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
     evaluate(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
     with Image.open(tmp_path / "film.gif") as reel:
         assert getattr(reel, "n_frames", 1) >= 3 and np.ptp(np.asarray(reel)) > 0
-
-
-def test_progress_counts_no_episode_of_a_film(tmp_path: Path) -> None:
-    written = io.StringIO()
-    with Progress(console=Console(file=written, width=200)) as progress:
-        evaluate(config(episodes=3), QUIET, video=tmp_path / "film.gif", progress=progress)
-    told = [line[9:].partition(";")[0] for line in written.getvalue().splitlines()]
-    episodes = "episodes of setup 1"
-    assert {f"{episodes}: 3 of 3", f"filmed {episodes}: 2 of 2"} < {*told}
-    assert any("writing the film" in line for line in told)
 
 
 def test_failures_are_listed_by_goal_and_filmed(tmp_path: Path, capsys: Any) -> None:

@@ -50,12 +50,8 @@ def npy(values: object) -> bytes:
     return file.getvalue()
 
 
-def twice(points: Points) -> Points:
-    return np.repeat(points, 2, axis=0)
-
-
-def closed(points: Points, off: float = 0.0) -> Points:
-    return np.concatenate([points, points[:1] + off])
+def closed(points: Points) -> Points:
+    return np.concatenate([points, points[:1]])
 
 
 # how others write one closed curve
@@ -69,10 +65,8 @@ ONE: dict[str, Callable[[Points], str | bytes]] = {
     "time and place.txt": lambda p: "t x y z\n" + table(
         [[k / len(p), *point] for k, point in enumerate(p)], " "
     ),
-    "time.dat": lambda p: "t 0\n" + table(p, " "),
     "time of a box.dat": lambda p: "t = 0\n\n" + table(p, " "),
     "quoted numbers.csv": lambda p: table([[f'"{x}"' for x in row] for row in p]),
-    "SUFFIX.CSV": table,
     "names after a mark.csv": lambda p: codecs.BOM_UTF8 + b"x,y,z\n" + table(p).encode(),
     "of a spreadsheet.txt": lambda p: table(p, "\t").encode("utf-16"),
     "ends of Windows.csv": lambda p: table(p, end="\r\n"),
@@ -82,8 +76,6 @@ ONE: dict[str, Callable[[Points], str | bytes]] = {
     "semicolons.csv": lambda p: table(p, ";"),
     "empty rows at the end.csv": lambda p: table(p) + ",,\n,,\n\n",
     "repeated first point.csv": lambda p: table(closed(p)),
-    "nearly repeated first point.csv": lambda p: table(closed(p, 1e-15)),
-    "every point twice.csv": lambda p: table(twice(p)),
     "count from 1.tsv": lambda p: table(numbered(p, 1), "\t"),
     "spaces.txt": lambda p: table(p, " "),
     "of savetxt.txt": lambda p: table([[f"{x:.18e}" for x in row] for row in p], " "),
@@ -97,11 +89,8 @@ ONE: dict[str, Callable[[Points], str | bytes]] = {
         [["CN"[k % 2], *point] for k, point in enumerate(p)], " "
     ),
     "number of rows.txt": lambda p: f"{len(p)}\n" + table(p, " "),
-    "number of rows.csv": lambda p: f"{len(p)}\nx,y,z\n" + table(p),
     "count that begins again.csv": lambda p: table([*numbered(p, 1), [1, *p[0].tolist()]]),
-    "count that goes on.csv": lambda p: table(numbered(closed(p), 1)),
     "float64.npy": npy,
-    "float32.npy": lambda p: npy(p.astype(np.float32)),
     "integers.npy": lambda p: npy((p * 1e6).astype(np.int32)),
     "one of one.npy": lambda p: npy(p[None]),
 }  # fmt: skip
@@ -147,21 +136,14 @@ SHADOW = np.concatenate([P[:, :2], P[:, :1] * 0], axis=1)
 REFUSED: list[tuple[str, str | bytes, str]] = [
     ("blank.csv", table(A) + "\n" + table(B), "a link, 2 components"),
     ("name.csv", table(numbered(A, "a") + numbered(B, "b") + numbered(A, "a")), "link, 2 .* of a"),
-    ("frames.xyz", ("100\n\n" + table(numbered(A, "C"), " ")) * 2, "a link, 2 components"),
     ("joined.csv", table(np.concatenate([A, B])), "points 100 and 101 are .* times as far apart"),
     ("shadow.csv", table(SHADOW), "after point 105 it meets itself after point 277"),
     ("spike.csv", table([*P[:9], P[8] + P[8] - P[7], P[8] * 0.5 + P[7] * 0.5, *P[9:]]), "embedded"),
     ("typed.csv", "O.5,0,1\n" + table(P), "line 1: "),
-    ("extra.csv", "x,y,z,r\n" + table(P), "line 2 has 3 of 4 columns"),
-    ("unnamed.csv", table(np.hstack([P, P])), "line 1 has 6 values"),
     ("frames.dat", ("t 0\n" + table(A, " ")) * 2, "a link, 2 components"),
-    ("flat.csv", table(P[:, :2]), "line 1 has 2 values"),
     ("flat and counted.csv", table(numbered(P[:, :2])), "its first column counts the rows"),
     ("radius.npy", npy(np.hstack([P, P[:, :1]])), r"\(n, 3\) array of points, got shape"),
     ("open.csv", table(P[:200]), "isn't closed"),
-    ("few.csv", "0,0,0\n1,0,0\n1,1,0", "at least 4 different points"),
-    ("none.csv", "", "holds no curves"),
-    ("nan.csv", "nan,0,0\n1,0,0\n1,1,0\n0,1,0", "finite"),
     ("walk.npy", npy(np.random.default_rng(0).normal(size=(5_000, 3))), "more than 100 crossings"),
     ("fine.npy", npy(np.random.default_rng(0).normal(size=(20_001, 3))), "at most 20000 points"),
     ("pickled.npy", npy(np.array([{}], dtype=object)), "can't be read"),

@@ -46,7 +46,6 @@ HARMS: list[tuple[str, Callable[[Path], Any]]] = [
     *((f"version {x!r}", partial(put_card, format_version=x)) for x in (99, 2.0, "\x1b[2J")),
     ("isn't of format knotgym-policy", partial(put_card, format="other")),
     ("doesn't match its own digest", partial(change_a_byte, '"parameters": 1')),
-    ("doesn't match its own digest", partial(change_a_byte, '"parameters":\t')),
     ("no learner at", lambda folder: (folder / "policy.json").unlink()),
     ("no learner at", lambda folder: put_pipe(folder / "policy.json")),  # not waited for
     ("isn't a regular file", lambda folder: put_pipe(folder / "weights.safetensors")),

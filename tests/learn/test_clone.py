@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -138,10 +137,3 @@ def test_an_absent_device_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(InvalidInput, match="needs a GPU"):
         train([], tmp_path / "none", replace(CLONE, demonstrations=1, device="cuda"))
     assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(("name", "value"), [("width", 18), ("copies", 21)])
-def test_a_size_that_does_not_fit_is_one_line(name: str, value: int) -> None:
-    sizes: dict[str, Any] = {name: value}
-    with pytest.raises(InvalidInput, match=name):
-        replace(CLONE, **sizes)

@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.learn.reader import BeadNetwork
 
 pytestmark = pytest.mark.clients
 TASK = TaskConfig(task="unknot", nx=1, engine="chain")
@@ -62,31 +60,11 @@ def test_it_acts_on_pictures_alone_and_the_same_every_time(learner: Path, shown:
     assert np.array_equal(acted, actions(learner, shown))
 
 
-def test_one_thread_is_enough(learner: Path, shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    threads, forward = [], BeadNetwork.forward
-
-    def counted(network: BeadNetwork, inputs: torch.Tensor) -> torch.Tensor:
-        threads.append(torch.get_num_threads())
-        return forward(network, inputs)
-
-    monkeypatch.setattr(BeadNetwork, "forward", counted)
-    before = torch.get_num_threads()
-    torch.set_num_threads(3)
-    try:
-        actions(learner, shown)
-        assert set(threads) == {1} and torch.get_num_threads() == 3
-    finally:
-        torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"camera": "perspective"}, "camera perspective instead of orthographic"),
         ({"views": ("top", "front")}, "views top,front instead of top"),
-        ({"depth": True}, "depth True instead of False"),
         ({"appearance": "photo"}, "appearance photo instead of published"),
-        ({"image_size": 64}, "image_size 64 instead of 128"),
         ({"hold": 2}, "hold 2 instead of 1"),
     ],
 )

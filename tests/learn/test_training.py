@@ -15,8 +15,6 @@ import torch
 from knotgym.cli import main
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
 from knotgym.datasets import Episodes
-from knotgym.learn.card import read_card
-from knotgym.learn.learners import LEARNERS, policy_folder
 from knotgym.learn.training import Training
 from knotgym.learn.training_data import TrainingData
 from knotgym.states import shipped
@@ -90,14 +88,6 @@ def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> No
     assert own.starts.tolist()[3:] == [count + start for start in own.starts.tolist()[:3]]
     np.testing.assert_array_equal(own.beads[1:3], steps["bead"][:2])
     np.testing.assert_array_equal(own.forces[1], steps["force"][0] * steps["applied_fraction"][0])
-
-
-@pytest.mark.parametrize("name", LEARNERS)
-def test_a_learner_s_record_names_what_there_is(name: str) -> None:
-    one = LEARNERS[name]
-    assert issubclass(one.loaded(one.training), Training)
-    assert callable(one.loaded(one.policy))
-    assert read_card(policy_folder(one.ships))["learner"] == name
 
 
 def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:

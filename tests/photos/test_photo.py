@@ -216,13 +216,3 @@ def test_pieces_of_other_ropes_touch_nothing() -> None:
     changed = np.argwhere((bare.image != crowded.image).any(axis=2))[::5, ::-1]
     away = np.linalg.norm(changed[:, None] - bare.line[None, :, :2], axis=2).min(axis=1)
     assert len(away) > 100 and away.min() > look.radius + 12  # px, of 18 from axis to surface
-
-
-def test_exposure_and_warmth_are_gains_of_the_colours() -> None:
-    ((_, shot),) = photos(1, 128, 1)
-    plain = replace(shot.look, exposure=0.5, warmth=0.0, falloff=0.0, noise=0.0, blur=0.0, jpeg=100)
-    one, other = (
-        take(shot.points, look).image.astype(float)
-        for look in (plain, replace(plain, exposure=0.4, warmth=0.2))
-    )
-    np.testing.assert_allclose(other, one * (0.88, 0.8, 0.72), atol=1.5)

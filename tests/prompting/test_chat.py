@@ -44,17 +44,14 @@ def asked(answer: Callable[[int, Any], Answer], **settings: Any) -> tuple[Any, C
     ("misdeed", "reason"),
     [
         ((500, {}, "oh"), "500"),
-        ((429, {}, "{}"), "429"),
         (lambda: [b"HTTP/1.1 200 OK\r\ncontent-length: 999\r\n\r\n{"], "connection"),
         ((200, {}, "{not json"), "malformed"),
         ((200, {}, '{"choices": []}'), "malformed"),
         (OVERLOADED, "error"),
         (completion({"content": None}, "error"), "error"),
-        (completion({"content": "no"}, "content_filter"), "refusal"),
         (REFUSAL, "refusal"),
         (completion({"content": None, "reasoning_content": "<answer>"}), "empty"),
         (completion({"content": "<think>cut off in thought"}, "length"), "empty"),
-        (completion({"content": " "}, "length"), "empty"),
     ],
 )
 def test_a_request_that_fails_is_sent_again_and_counted(misdeed: Answer, reason: str) -> None:
@@ -69,7 +66,6 @@ def test_a_request_that_fails_is_sent_again_and_counted(misdeed: Answer, reason:
         ([{"type": "text", "text": "I "}, {"type": "text", "text": "pull."}], "I pull."),
         ([{"type": "thinking", "text": "hm"}, {"type": "text", "text": "yes"}], "yes"),
         ("<think><answer>draft</answer></think>final", "final"),
-        ("no opening mark</think>final", "final"),
         ("final<think>afterthought</think>", "final"),
         ("[THINK]draft[/THINK]final", "final"),
         ("<|channel|>analysis<|message|>a<|end|><|channel|>final<|message|>final", "final"),
@@ -92,8 +88,6 @@ def test_a_model_that_goes_on_refusing_has_answered_so() -> None:
     [
         (400, {"message": "filtered", "code": "content_filter"}),
         (403, {"message": "your input was flagged", "code": "moderation"}),
-        (413, {"message": "too large", "type": "size"}),
-        (422, {"message": "no such picture", "code": "picture"}),
         (451, {"message": "gone\x1b[2J\x00", "code": "law\x1b"}),
     ],
 )

@@ -125,13 +125,3 @@ def test_a_film_says_at_its_end_whether_the_goal_was_reached() -> None:
         assert len(rest) == 1 + FRAMES_PER_SECOND
         assert (rest[-1][4, 4:-4] == Film.OUTCOMES[outcome]).all()
         assert (first[4, 4:-4] != Film.OUTCOMES[outcome]).any()
-
-
-def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
-    loop = Rope().loop()
-    frames = Film.frames([loop, loop / 2], loop, ["0", "1"], [(0, np.zeros(3))], [False, False])
-    wide = [
-        np.ptp(np.flatnonzero((frame[40:340, :384].max(axis=2) > 60).any(axis=0)))
-        for frame in (frames[0], Film.frame(loop / 2, loop, "1"))
-    ]
-    assert 1.8 < wide[0] / wide[1] < 2.2

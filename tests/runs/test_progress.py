@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba.core import event
 from pytest_types import Capture, Patch
 from rich.console import Console
 
@@ -46,29 +45,6 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -
     lines = [line[9:] for line in written.getvalue().splitlines()]
     assert lines[0] == "compiling, once: about 30 s left"
     assert all(line.startswith("compiling, once: about") for line in lines)
-
-
-def test_a_stage_that_outlasts_its_estimate_says_so_seldom(monkeypatch: Patch) -> None:
-    monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
-    written = io.StringIO()
-    with Progress(console=Console(file=written, width=200)) as progress:
-        progress.stage("compiling", lasts=0.2)
-        time.sleep(0.7)
-    lines = [line[9:] for line in written.getvalue().splitlines()]
-    assert {*lines[1:]} == {"compiling: it takes longer than usual"} and len(lines) < 10
-
-
-@pytest.mark.parametrize(
-    ("workers", "said"), [(0.0, "7 CPU seconds\n"), (2.0, ", workers included\n")]
-)
-def test_a_command_ends_with_its_cpu_seconds(
-    workers: float, said: str, monkeypatch: Patch, capsys: Capture
-) -> None:
-    used = iter((1.0, 7.0))
-    monkeypatch.setattr(time, "process_time", lambda: next(used))
-    monkeypatch.setattr(Counts, "worker_seconds", workers)
-    Progress().say_seconds()
-    assert capsys.readouterr().err.endswith(said)
 
 
 def test_a_first_environment_says_once_that_it_compiles(
@@ -114,23 +90,6 @@ def shown(*done: int) -> str:
     return written.getvalue()
 
 
-def test_names_are_no_pictograms_and_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
-    with Progress() as progress:
-        progress.console.print("c.csv:a: [red]x[/red]", highlight=False)
-    assert capsys.readouterr().out == "c.csv:a: [red]x[/red]\n"
-
-
-def test_work_without_a_count_is_named_again_and_again(monkeypatch: Patch) -> None:
-    monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
-    written = io.StringIO()
-    with Progress(console=Console(file=written, width=200)) as progress:
-        progress.stage("playing", 4, 4)
-        progress.stage("writing")
-        time.sleep(0.5)
-    lines = written.getvalue().splitlines()
-    assert [line[9:] for line in lines[:3]] == ["playing: 4 of 4", "writing", "writing"]
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_items_count_when_they_end_not_when_calls_return(workers: int, monkeypatch: Patch) -> None:
     monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
@@ -166,16 +125,6 @@ def test_items_that_go_on_count_by_their_share_and_workers_start_before_the_firs
     told = [line[9:].partition("; time")[0] for line in written.getvalue().splitlines()]
     first = "playing: 0 of 2; workers start, about 4 s left"
     assert told == [first, *(f"playing: {count} of 2" for count in (0, 1, 1))]
-
-
-def test_what_compiles_later_than_the_engine_is_named_while_it_does() -> None:
-    written = io.StringIO()
-    with Progress(console=Console(file=written, width=200)) as progress:
-        with event.trigger_event("numba:compile"):
-            progress.stage("playing", 1, 2)
-        progress.stage("playing", 2, 2)
-    told = [line[9:] for line in written.getvalue().splitlines()]
-    assert told == ["playing: 1 of 2; compiling, once", "playing: 2 of 2"]
 
 
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:
