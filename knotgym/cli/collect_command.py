@@ -40,18 +40,18 @@ def collect(
     """
 
     options = given.run
-    tasks = given.get("task.task") if task is None else [one.strip() for one in task.split(",")]
+    tasks = given.get("task.task") if task is None else [name.strip() for name in task.split(",")]
     both = tasks, given.get("task.nx") if nx is None else numbers(nx)
-    several = [[*one] if isinstance(one, (list, tuple)) else [one] for one in both]
+    several = [[*values] if isinstance(values, (list, tuple)) else [values] for values in both]
     if given.get("dataset_id"):
-        pairs = [tuple(one[0] if len(one) == 1 else one for one in several)]
+        pairs = [tuple(values[0] if len(values) == 1 else values for values in several)]
     else:
         every = [*product(*several)]
         # settings may hold anything, also what can't be hashed; it is refused below
         pairs = [pair for number, pair in enumerate(every) if pair not in every[:number]]
     usual = {"policy_observation": "" if given.has("task.observation") else "state"}
-    named = ({"task.task": one, "task.nx": of} for one, of in pairs)
-    configs = [given.config(CollectConfig, one, usual=usual) for one in named]
+    named = ({"task.task": task, "task.nx": of} for task, of in pairs)
+    configs = [given.config(CollectConfig, setup, usual=usual) for setup in named]
     # refuse any of them before playing the first
     configs = [generate.require_collectable(config, out, options) for config in configs]
     for config in configs:

@@ -60,12 +60,12 @@ def verify(given: Given, source: Source, /, *, sample: int = 0) -> None:
     from knotgym.cli.inspection import faults
 
     runs.compile_first(given.progress)
-    found = 0
+    count = 0
     for fault in faults(source, given.progress, sample):
         _print(given, f"fault: {fault}")
-        found += 1
-    if found:
-        raise Failed(f"{source}: {found} faults")
+        count += 1
+    if count:
+        raise Failed(f"{source}: {count} faults")
 
 
 @_command("run.overwrite")
@@ -240,13 +240,13 @@ def _write(
     given: Given, source: str, out: Path | None, name: str, write: Callable[[Path, Any], str]
 ) -> None:
     """Write a file about a dataset, by default of this name beside it, and say what it is."""
-    found, overwrite = datasets.locate(source), given.run.overwrite
-    out = out or found.folder / name
+    located, overwrite = datasets.locate(source), given.run.overwrite
+    out = out or located.folder / name
     if out.suffix.lower() != Path(name).suffix:
         raise InvalidInput(f"the output must end in {Path(name).suffix}, got {out}")
-    common.require_output(out, folder=False, overwrite=overwrite, reads=found.files)
+    common.require_output(out, folder=False, overwrite=overwrite, reads=located.files)
     with common.atomic_write(out, overwrite=overwrite) as temporary:
-        written = write(temporary, found)
+        written = write(temporary, located)
     given.progress.say(f"{out}: {written}")
 
 
@@ -255,5 +255,5 @@ def _cut(given: Given, cut: Callable[..., Path | list[Path]]) -> None:
     given.progress.stage("choosing rows")
     made = cut(overwrite=given.run.overwrite)
     parts = [made] if isinstance(made, Path) else made
-    for one in parts:
-        given.progress.say(f"{one}: {datasets.kept(one, parts[0])}")
+    for part in parts:
+        given.progress.say(f"{part}: {datasets.kept(part, parts[0])}")

@@ -35,11 +35,11 @@ def doctor(given: Given) -> None:
     progress = given.progress
     progress.stage("comparing digests")
     differs = []
-    for name, found in _measured():
-        same = found == EXPECTED[name]
+    for name, digest in _measured():
+        same = digest == EXPECTED[name]
         differs += [name] * (not same)
         expected = "" if same else f", recorded {EXPECTED[name]}"
-        progress.say(f"{'ok' if same else 'differs':8}{found}  {name}{expected}")
+        progress.say(f"{'ok' if same else 'differs':8}{digest}  {name}{expected}")
     facts = {**datasets.machine(), **{name: version(name) for name in _DECISIVE}}
     progress.say(", ".join(f"{key} {value}" for key, value in facts.items()))
     if differs:
@@ -89,8 +89,8 @@ def _measured() -> Iterator[tuple[str, str]]:
 
 def _digest(*values: Any) -> str:
     """Return 12 hexadecimal digits of the SHA-256 of arrays, or of lists of text."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for value in values:
         text = isinstance(value, list)
-        found.update("\n".join(value).encode() if text else np.ascontiguousarray(value).tobytes())
-    return found.hexdigest()[:12]
+        digest.update("\n".join(value).encode() if text else np.ascontiguousarray(value).tobytes())
+    return digest.hexdigest()[:12]

@@ -57,8 +57,9 @@ def evaluate(
     names = policy or ["random"]
     more = _trained_on(given, names)
     if policy or given.has("policy"):
-        typed = ({"policy": name} for name in names)
-        more["policies"] = [given.config(PolicyConfig, one, section="policy") for one in typed]
+        more["policies"] = [
+            given.config(PolicyConfig, {"policy": name}, section="policy") for name in names
+        ]
     protocol = given.get("protocol")
     tasks = given.get("tasks")
     usual = EvaluateConfig.of_protocol(protocol, tasks) if protocol in PROTOCOLS else {}
@@ -89,16 +90,16 @@ def compare(given: Given, files: Files = None, /) -> None:
 def _trained_on(given: Given, policies: list[str]) -> dict[str, Any]:
     """Return what all learners were trained on, of the settings that weren't given."""
     cards = [card for name in policies if (card := PolicyConfig(policy=name).card()) is not None]
-    setups = [one for card in cards if isinstance(one := card.get("trained_on"), dict)]
-    found: dict[str, Any] = {}
+    setups = [setup for card in cards if isinstance(setup := card.get("trained_on"), dict)]
+    trained: dict[str, Any] = {}
     for path in ("tasks", "nx", "task.states", "task.engine"):
         _, is_single, name = path.rpartition(".")
         values: list[Any] = [setup.get(name) for setup in setups]
         first: Any = values[0] if values and values.count(values[0]) == len(values) else None
         count = len(first) if isinstance(first, list) and not given.has(path) else 0
         if count == 1 or (count and not is_single):
-            found[path] = first[0] if is_single else tuple(first)
-    if found:
-        shown = (f"{path.rpartition('.')[2]} {as_typed(one)}" for path, one in found.items())
+            trained[path] = first[0] if is_single else tuple(first)
+    if trained:
+        shown = (f"{path.rpartition('.')[2]} {as_typed(value)}" for path, value in trained.items())
         given.progress.say(one_line(f"as the learner was trained: {', '.join(shown)}"))
-    return found
+    return trained

@@ -53,9 +53,9 @@ def generate(
     if codes is not None:
         count = given.get("count") if given.has("count") else None
         rng = Stream.SELECTION.generator(given.get("seed"), 2)
-        found = _code_list(codes, more.get("nx"), count, rng)
-        more["nx"] = tuple(dict.fromkeys(code.nx for code in found))
-        more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]
+        listed = _code_list(codes, more.get("nx"), count, rng)
+        more["nx"] = tuple(dict.fromkeys(code.nx for code in listed))
+        more["codes"] = [str(code) if code.chirality is None else code.chiral for code in listed]
         more["every_code"] = given.get("every_code") or 1
     config = given.config(GenerateConfig, more, usual={"nx": numbers(usual)})
     root = make_states(config, folder, given.run, progress=given.progress) / "minari"
@@ -85,14 +85,14 @@ def _code_list(
         raise InvalidInput(f"--codes {path} is not a regular file")
     try:
         with open(path, encoding="utf-8-sig") as lines:
-            found = [*islice(parse_codes(lines), MOST_CODES + 1)]
+            listed = [*islice(parse_codes(lines), MOST_CODES + 1)]
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"--codes {path} can't be read: {error}") from error
     except InvalidInput as error:
         raise InvalidInput(f"--codes {path}, {error}") from None
-    if len(found) > MOST_CODES:
+    if len(listed) > MOST_CODES:
         raise InvalidInput(f"--codes {path} has more than {MOST_CODES} codes: split it")
-    kept = [code for code in found if nx is None or code.nx in nx]
+    kept = [code for code in listed if nx is None or code.nx in nx]
     if not kept:
         of = "" if nx is None else f" with nx {', '.join(map(str, nx))}"
         raise InvalidInput(f"--codes {path} contains no code{of}")

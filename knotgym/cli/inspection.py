@@ -38,17 +38,16 @@ def print_summary(named: str, console: Console) -> None:
         if rows:
             _print_table(rows, rows[0][:1], None, console)
         return
-    found = locate(named)
-    each, lines, tables = summary(found)
+    each, lines, tables = summary(locate(named))
     for facts in each:
         _print_facts(facts, console)
     for k, line in enumerate(lines):
         _say(console, line if k else f"{named}: {line}")
-    for one in tables.values():
-        if one.rows:
-            _print_table([one.head, *one.rows], one.left, one.title, console)
-            if one.says:
-                _say(console, one.says)
+    for table in tables.values():
+        if table.rows:
+            _print_table([table.head, *table.rows], table.left, table.title, console)
+            if table.says:
+                _say(console, table.says)
 
 
 def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
@@ -77,7 +76,7 @@ def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
         said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         progress.say(f"{named}: {entry or said}: no faults")
         opened = [] if entry else [*map(open_episodes, locate(named).episodes)]
-        if claimed := {name for one in opened for name in claims(one)}:
+        if claimed := {name for dataset in opened for name in claims(dataset)}:
             said = ", ".join(sorted(claimed))
             progress.say(f"claimed, as nothing can make them again: {said}")
 
@@ -89,13 +88,14 @@ def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Prog
         InvalidInput: there is no such row, or it has no recorded actions.
         Failed: the replay ended in another state; nothing is written.
     """
-    found = locate(named)
-    out = out or found.folder / "replay.gif"
+    located = locate(named)
+    out = out or located.folder / "replay.gif"
     Film(out)
-    found = found.only("states", "episodes")
-    require_output(out, folder=False, overwrite=overwrite, reads=found.files)
+    located = located.only("states", "episodes")
+    require_output(out, folder=False, overwrite=overwrite, reads=located.files)
     progress.stage("replaying and drawing")
-    made = _state_film(found.states, row) if found.states else _episode_film(found.episodes[0], row)
+    states, episodes = located.states, located.episodes
+    made = _state_film(states, row) if states else _episode_film(episodes[0], row)
     frames, steps, difference = made
     if difference:
         raise Failed(f"row {row} of {named} ends in another state when replayed: {difference}")
@@ -156,7 +156,7 @@ def _print_table(
     widths = [max(len(str(cell)) for cell in column) + _GAP for column in zip(*rows, strict=True)]
     parts = [[0]]
     for k, width in enumerate(widths[1:], 1):
-        if len(parts[-1]) > 1 and sum(widths[one] for one in parts[-1]) + width > _WIDTH:
+        if len(parts[-1]) > 1 and sum(widths[column] for column in parts[-1]) + width > _WIDTH:
             parts.append([0])
         parts[-1].append(k)
     for part in parts:

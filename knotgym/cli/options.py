@@ -125,12 +125,12 @@ def command(
         lines: see `Progress`.
     """
     sections = {**sections, "run": RunOptions}
-    known = {one.path: one for one in _all_fields(sections)}
+    known = {field.path: field for field in _all_fields(sections)}
     words = (word.partition("=") for word in fields.split())
     options = [_option(known[path], typed) for path, _, typed in words]
 
     def _declare(function: Callable[..., None]) -> App:
-        own = [*inspect.signature(function).parameters.values()][1:]
+        declared = dict([*inspect.signature(function).parameters.items()][1:])
 
         def _run(
             *words: Any,
@@ -141,9 +141,9 @@ def command(
             **values: Any,
         ) -> None:
             use_plugins(plugin or ())
-            for one in ("out", "record", "video", "overlay"):
-                _require_apart(values.get(one), [settings, *words, *values.values()], one)
-            mine = {one.name: values.pop(one.name) for one in own if one.name in values}
+            for name in ("out", "record", "video", "overlay"):
+                _require_apart(values.get(name), [settings, *words, *values.values()], name)
+            mine = {name: values.pop(name) for name in declared if name in values}
             typed = {name.replace("__", "."): value for name, value in values.items()}
             with Progress(quiet, lines=lines) as progress:
                 tree = _read_settings(settings, sections)
@@ -154,11 +154,11 @@ def command(
                 progress.say_seconds()
 
         common = inspect.signature(_run).parameters
-        parameters = [*own, *options, common["quiet"], common["plugin"]]
+        parameters = [*declared.values(), *options, common["quiet"], common["plugin"]]
         parameters += [common["settings"], common["set"]] if "" in sections else []
         # a terminal breaks paragraphs and entries by its own width
         doc = _run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))
-        _run.__annotations__ = {one.name: one.annotation for one in parameters}
+        _run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         vars(_run).update(sections=sections, known=known)
         vars(_run).update(__signature__=inspect.Signature(parameters))
         help = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
@@ -201,8 +201,8 @@ class Given:
 
     def get(self, path: str) -> Any:
         """Return a field as JSON: what was typed or set, else its default; not yet validated."""
-        found = self._at(path)
-        return self.known[path].default if found is None else found
+        value = self._at(path)
+        return self.known[path].default if value is None else value
 
     def config(
         self,
@@ -224,18 +224,20 @@ class Given:
             InvalidInput: a value is invalid.
         """
         if section:
-            own = self.settings.get(section, {})
+            tree = self.settings.get(section, {})
         else:
-            own = {name: one for name, one in self.settings.items() if name not in self.sections}
+            tree = {k: v for k, v in self.settings.items() if k not in self.sections}
         above = _nested(more or {})
         # `above` would replace what isn't an object, and nobody would notice
-        held = own if isinstance(own, Mapping) else {}
-        inner = {name: held.get(name, {}) for name, one in above.items() if isinstance(one, dict)}
-        for name, one in {section: own, **inner}.items():
-            if not isinstance(one, Mapping):
+        held = tree if isinstance(tree, Mapping) else {}
+        inner = {k: held.get(k, {}) for k, v in above.items() if isinstance(v, dict)}
+        for name, part in {section: tree, **inner}.items():
+            if not isinstance(part, Mapping):
                 path = next(path for path in self.known if path.startswith(f"{name}."))
-                raise InvalidInput(f"{name} is a section of settings, such as {path}=; got {one!r}")
-        return from_json(kind, merged(merged(_nested(usual or {}), own), above))
+                raise InvalidInput(
+                    f"{name} is a section of settings, such as {path}=; got {part!r}"
+                )
+        return from_json(kind, merged(merged(_nested(usual or {}), tree), above))
 
     @property
     def run(self) -> RunOptions:
@@ -254,10 +256,10 @@ class Given:
         print_summary(named, self.progress.console)
 
     def _at(self, path: str) -> Any:
-        found: Any = self.settings
+        value: Any = self.settings
         for name in path.split("."):
-            found = found.get(name) if isinstance(found, dict) else None
-        return found
+            value = value.get(name) if isinstance(value, dict) else None
+        return value
 
 
 def _all_fields(sections: Sections) -> Iterator[_Field]:
@@ -265,7 +267,7 @@ def _all_fields(sections: Sections) -> Iterator[_Field]:
 
     def _below(kind: type, path: str, defaults: Any) -> Iterator[_Field]:
         hints = get_type_hints(kind)
-        for name, hint in ((one.name, hints[one.name]) for one in dataclasses.fields(kind)):
+        for name, hint in ((field.name, hints[field.name]) for field in dataclasses.fields(kind)):
             default = getattr(defaults, name, None)
             yield _Field(f"{path}{name}", name, kind, hint, default)
             if dataclasses.is_dataclass(hint) and isinstance(hint, type):
@@ -282,11 +284,11 @@ def field_help(kind: type, name: str) -> str:
     'Replace an existing output once the new one is complete.'
     """
     hint = get_type_hints(kind, include_extras=True).get(name)
-    for one in getattr(hint, "__metadata__", ()):
-        if described := getattr(getattr(one, "func", None), "help", None):
+    for mark in getattr(hint, "__metadata__", ()):
+        if described := getattr(getattr(mark, "func", None), "help", None):
             return str(described())
-    for one in kind.__mro__:
-        doc = inspect.cleandoc(one.__doc__ or "").partition("\nAttributes:\n")[2]
+    for base in kind.__mro__:
+        doc = inspect.cleandoc(base.__doc__ or "").partition("\nAttributes:\n")[2]
         for entry in re.split(r"\n(?=    \w)", "\n" + doc.partition("\n\n")[0]):
             names, _, text = " ".join(entry.split()).partition(": ")
             if name in names.split(", "):
@@ -297,7 +299,7 @@ def field_help(kind: type, name: str) -> str:
 
 def _require_apart(out: Any, values: Iterable[Any], name: str) -> None:
     """Raise Occupied if an output is a file or folder that something else that was typed names."""
-    texts = (text for one in values for text in (one if isinstance(one, list) else [one]))
+    texts = (text for value in values for text in (value if isinstance(value, list) else [value]))
     for text in texts if isinstance(out, Path) and os.path.exists(out) else ():
         if text is not out and isinstance(text, (str, Path)) and os.path.exists(text):
             if os.path.samefile(text, out):
@@ -327,7 +329,7 @@ def _typed_kind(hint: Any) -> Any:
     """Return the first type of a union, which is what can be typed."""
     if get_origin(hint) not in (Union, types.UnionType):
         return hint
-    return next(one for one in get_args(hint) if one is not type(None))
+    return next(kind for kind in get_args(hint) if kind is not type(None))
 
 
 def numbers(text: str, name: str = "--nx") -> tuple[int, ...]:
@@ -339,16 +341,16 @@ def numbers(text: str, name: str = "--nx") -> tuple[int, ...]:
     >>> numbers("0-2,4")
     (0, 1, 2, 4)
     """
-    found: list[int] = []
+    listed: list[int] = []
     for word in text.split(","):
         parts = re.fullmatch(r"\s*(\d{1,4})(?:-(\d{1,4}))?\s*", word, re.ASCII)
         if parts is None or int(parts[2] or parts[1]) < int(parts[1]):
             raise InvalidInput(f"{name} takes whole numbers such as 3, 2,3 or 0-4, got {word!r}")
-        found += range(int(parts[1]), int(parts[2] or parts[1]) + 1)
-    if len(set(found)) < len(found):
-        twice = Counter(found).most_common(1)[0][0]
+        listed += range(int(parts[1]), int(parts[2] or parts[1]) + 1)
+    if len(set(listed)) < len(listed):
+        twice = Counter(listed).most_common(1)[0][0]
         raise InvalidInput(f"{name} takes each number once, got {twice} twice")
-    return tuple(found)
+    return tuple(listed)
 
 
 def as_typed(value: Any) -> str:
@@ -369,12 +371,12 @@ def as_typed(value: Any) -> str:
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return {"task": {"nx": 3}} for {"task.nx": 3}."""
-    found: dict[str, Any] = {}
+    nested: dict[str, Any] = {}
     for path, value in values.items():
         for name in reversed(path.split(".")):
             value = {name: value}
-        found = merged(found, value)
-    return found
+        nested = merged(nested, value)
+    return nested
 
 
 def _read_settings(path: Path | None, sections: Sections) -> dict[str, Any]:
@@ -389,15 +391,15 @@ def _read_settings(path: Path | None, sections: Sections) -> dict[str, Any]:
     form = "TOML" if path.suffix == ".toml" else "JSON"
     with InvalidInput.instead(f"--settings {path} can't be read as {form}", OSError, ValueError):
         is_toml = form == "TOML" and path.is_file()
-        found: Any = tomllib.loads(path.read_text("utf-8")) if is_toml else read_json(path)
-    if not isinstance(found, dict):
-        raise InvalidInput(f"--settings {path} must hold an object, got {found!r}")
+        tree: Any = tomllib.loads(path.read_text("utf-8")) if is_toml else read_json(path)
+    if not isinstance(tree, dict):
+        raise InvalidInput(f"--settings {path} must hold an object, got {tree!r}")
     for section, kind in sections.items():
-        for field, _, text in Mark.fields(kind, found.get(section) if section else found, "typed"):
+        for field, _, text in Mark.fields(kind, tree.get(section) if section else tree, "typed"):
             if text is not None:
                 name = f"{section}.{field}".strip(".")
                 raise InvalidInput(
                     f"a settings file may not set {name}, which reaches the network or names"
                     f" code: type --set {name}=... if you mean it"
                 )
-    return found
+    return tree

@@ -75,13 +75,13 @@ def packages() -> tuple[str, ...]:
     Raises:
         InvalidInput: one that an entry point names has no readable table.
     """
-    found = [_OWN]
-    for one in sorted(entry_points(group=GROUP), key=lambda one: one.value):
-        said = f"the commands of entry point {one.name} = {one.value} can't be loaded"
+    named = [_OWN]
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.value):
+        said = f"the commands of entry point {entry.name} = {entry.value} can't be loaded"
         with InvalidInput.instead(said, ImportError, OSError, ValueError):
-            _command_texts(one.value)
-        found.append(one.value)
-    return tuple(dict.fromkeys(found))
+            _command_texts(entry.value)
+        named.append(entry.value)
+    return tuple(dict.fromkeys(named))
 
 
 @cache
@@ -105,8 +105,8 @@ def shown(named: str) -> Any:
     """Return what a package shows of a folder that only it knows: facts and rows, or None."""
     for package in packages():
         if function := _command_texts(package).get("shows"):
-            if found := resolve_name(f"{package}.{function}")(named):
-                return found
+            if facts := resolve_name(f"{package}.{function}")(named):
+                return facts
     return None
 
 
@@ -120,8 +120,8 @@ def application() -> App:
         suppress_keyboard_interrupt=False,
         version=f"knotgym {__version__}",
     )
-    for name, one in commands().items():
-        app.command(one.target, name=name, help=one.summary)
+    for name, command in commands().items():
+        app.command(command.target, name=name, help=command.summary)
     return app
 
 
@@ -195,8 +195,8 @@ def _interrupted(error: BaseException | None) -> bool:
 
 
 def _interrupt(stopped: str, number: int, frame: FrameType | None) -> None:
-    for one in _SIGNALS:
-        signal.signal(one, functools.partial(_end, stopped))
+    for signal_number in _SIGNALS:
+        signal.signal(signal_number, functools.partial(_end, stopped))
     sys.unraisablehook = functools.partial(_unraisable, stopped)
     raise KeyboardInterrupt
 

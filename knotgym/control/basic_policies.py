@@ -114,7 +114,7 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
             # one by one, so that a message can show the action that is wrong
             every = [np.asarray(action).reshape(-1) for action in actions]
             # not of text, nor of complex numbers, which would lose a part
-            rows = [one.astype(np.float32, casting="same_kind") for one in every]
+            rows = [action.astype(np.float32, casting="same_kind") for action in every]
         for row in rows:
             if len(row) != size:
                 raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")

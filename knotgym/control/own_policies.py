@@ -67,8 +67,8 @@ def own_policy(given: Any, name: str) -> SimplePolicy:
 
         def _compatible_task(task: TaskConfig) -> TaskConfig:
             with user_code(name):
-                found: TaskConfig = given.compatible_task(task)
-            return found
+                compatible: TaskConfig = given.compatible_task(task)
+            return compatible
 
         return SimplePolicy(name, partial(_GuardedPlayer, name, given), _compatible_task)
     reset_takes: int | None = None
@@ -110,8 +110,8 @@ class _OwnPlayer(ActionPlayer):
     def choose(self, ids: Ids) -> Any:
         batch, actions = self.batch, []
         for index in ids.tolist():
-            own = self._own[index]
-            function = own if self._reset_takes is None else own.act
+            policy = self._own[index]
+            function = policy if self._reset_takes is None else policy.act
             seen = [batch.observation(index)]
             if self._takes > 1:
                 seen += [*batch.info_rows(np.array([index])), self.rngs[index]]
@@ -183,19 +183,19 @@ def files(name: str) -> dict[str, Path]:
         root, sources = _sources(module)
     if root is None:
         return by_name(listed)
-    opened = [Path(one) for key in (module.__name__, name) for one in sorted(_opened[key])]
+    opened = [Path(path) for key in (module.__name__, name) for path in sorted(_opened[key])]
     # compiled modules and what lies elsewhere, such as in a library, has a version
     ours = Path(knotgym.__file__).parent, Path(sys.prefix)
     used = [
-        one
-        for one in opened
-        if one.is_relative_to(root)
-        and "__pycache__" not in one.parts
-        and not any(map(one.is_relative_to, ours))
+        path
+        for path in opened
+        if path.is_relative_to(root)
+        and "__pycache__" not in path.parts
+        and not any(map(path.is_relative_to, ours))
     ]
     known = {path.resolve() for _, path in listed}
-    used = [one for one in (*sources, *used) if one.is_file() and one.resolve() not in known]
-    return by_name([*((one.relative_to(root).as_posix(), one) for one in used), *listed])
+    used = [path for path in (*sources, *used) if path.is_file() and path.resolve() not in known]
+    return by_name([*((path.relative_to(root).as_posix(), path) for path in used), *listed])
 
 
 def _sources(module: ModuleType) -> tuple[Path | None, list[Path]]:
@@ -208,30 +208,30 @@ def _sources(module: ModuleType) -> tuple[Path | None, list[Path]]:
         return None, []
     depth = module.__name__.count(".") + hasattr(module, "__path__")
     root = Path(origin).absolute().parents[depth]
-    names, found = [module.__name__.partition(".")[0]], dict[Path, None]()
+    names, sources = [module.__name__.partition(".")[0]], dict[Path, None]()
     is_installed = str(root) in site.getsitepackages()
     for name in names:  # which grows
-        own, spec = root / name, PathFinder.find_spec(name, [*sys.path, str(root)])
+        place, spec = root / name, PathFinder.find_spec(name, [*sys.path, str(root)])
         there = [spec.origin, *(spec.submodule_search_locations or ())] if spec else []
-        if not any(one and Path(one).is_relative_to(root) for one in there):
+        if not any(path and Path(path).is_relative_to(root) for path in there):
             continue  # another of this name is imported
-        files = [*own.rglob("*.py")] if own.is_dir() else [own.with_suffix(".py")]
-        found |= dict.fromkeys(sorted(files))
+        files = [*place.rglob("*.py")] if place.is_dir() else [place.with_suffix(".py")]
+        sources |= dict.fromkeys(sorted(files))
         for file in () if is_installed else files:
             names += sorted(_imported(file) - {*names, "knotgym"})
-    return root, [*found]
+    return root, [*sources]
 
 
 def _imported(source: Path) -> Set[str]:
     """Return the top modules that a source imports anywhere; none if it isn't Python."""
-    found = set[str]()
+    names = set[str]()
     with suppress(OSError, SyntaxError, ValueError):
-        for one in ast.walk(ast.parse(source.read_bytes())):
-            if isinstance(one, ast.Import):
-                found |= {each.name.partition(".")[0] for each in one.names}
-            elif isinstance(one, ast.ImportFrom) and one.module and not one.level:
-                found.add(one.module.partition(".")[0])
-    return found
+        for node in ast.walk(ast.parse(source.read_bytes())):
+            if isinstance(node, ast.Import):
+                names |= {each.name.partition(".")[0] for each in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names.add(node.module.partition(".")[0])
+    return names
 
 
 def card_of(name: str) -> dict[str, Any] | None:
@@ -244,10 +244,10 @@ def card_of(name: str) -> dict[str, Any] | None:
         card = getattr(module, "CARD", None)
     said = f"policy {name}: its CARD isn't JSON"
     with InvalidPolicy.instead(said, RecursionError, TypeError, ValueError):
-        found: Any = json.loads(json.dumps(card, allow_nan=False))
-    if not isinstance(found, dict | None):
+        copied: Any = json.loads(json.dumps(card, allow_nan=False))
+    if not isinstance(copied, dict | None):
         raise InvalidPolicy(f"policy {name}: its CARD must be a dictionary")
-    return found
+    return copied
 
 
 @contextmanager
@@ -259,8 +259,8 @@ def _module_of(name: str) -> Iterator[ModuleType]:
     module = name.partition(":")[0]
     with near(module):
         with _noting(module):
-            found = importlib.import_module(module)
-        yield found
+            imported = importlib.import_module(module)
+        yield imported
 
 
 @contextmanager

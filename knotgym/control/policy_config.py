@@ -70,7 +70,7 @@ class PolicyConfig:
     planner: PullPlannerConfig = PullPlannerConfig()
 
     def __post_init__(self) -> None:
-        fit = len(self.shares) == len(MIXED) and all(0 <= one < inf for one in self.shares)
+        fit = len(self.shares) == len(MIXED) and all(0 <= share < inf for share in self.shares)
         if not fit or not 0 < sum(self.shares) < inf:
             raise InvalidPolicy(
                 f"shares must be {len(MIXED)} finite numbers of at least 0, not all 0, for"
@@ -117,8 +117,8 @@ class PolicyConfig:
 
     def card(self) -> dict[str, Any] | None:
         """Return facts about the training of the policy; None if its family records none."""
-        found: dict[str, Any] | None = self._family().card(self.policy)
-        return found
+        card: dict[str, Any] | None = self._family().card(self.policy)
+        return card
 
     def _family(self) -> Any:
         # the table makes policies, so it is imported when it is asked

@@ -217,7 +217,7 @@ def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pull
         arrays.append((pulls.forces, np.float32, (3,)))
         if pulls.macros is not None:
             arrays.append((pulls.macros, np.int64, (4,)))
-        fits = all(one.dtype == kind and one.shape == (count, *row) for one, kind, row in arrays)
+        fits = all(a.dtype == kind and a.shape == (count, *row) for a, kind, row in arrays)
         # in increasing order, and among those that were asked
         fits = fits and bool(np.array_equal(pulls.ids, playing[np.isin(playing, pulls.ids)]))
         fits = fits and bool((np.abs(pulls.forces) <= 1).all())
@@ -342,9 +342,9 @@ class _Record:
         chosen |= pulls.given or {}
         if pulls.macros is not None:
             chosen |= dict(zip(MACROS, pulls.macros.T, strict=True))
-        for name, own in (("action", pulls), ("expert_action", advised)):
-            if name in self._steps and own is not None:
-                chosen[name] = self._batch.simulation.actions(own.beads, own.forces, own.ids)
+        for name, by in (("action", pulls), ("expert_action", advised)):
+            if name in self._steps and by is not None:
+                chosen[name] = self._batch.simulation.actions(by.beads, by.forces, by.ids)
         for name, values in chosen.items():
             self._put(name, pulls.ids, values)
 
@@ -385,7 +385,7 @@ class _Record:
         self._parts[number] = {
             name: kept[index, : length + 1].copy() for name, kept in self._steps.items()
         }
-        own = int(batch.hold[index])
+        hold = int(batch.hold[index])
         row = {
             "seed": batch.seed[index],
             "start": batch.start_row[index],
@@ -393,7 +393,7 @@ class _Record:
             "start_qpos": batch.start_qpos[index].copy(),
             "policy": policy,
             "goal_visits": batch.wanted[index].copy(),
-            "hold": 0 if own == batch.task.hold else own,
+            "hold": 0 if hold == batch.task.hold else hold,
             "length": length,
             "success": self._success[index],
             "diverged": batch.failed[index],
@@ -431,8 +431,10 @@ class _Record:
                 parts = [padded(part, full) for part in parts]
             steps[column.name] = np.concatenate(parts)
         made = Episodes(Table(stored, rows), Table(self._sized(schema), steps))
-        own = {name: of(made) for name, of in self._episodes.derived().items()}
-        made = made._replace(episodes=Table(self._sized(self._episodes), {**made.episodes, **own}))
+        derived = {name: of(made) for name, of in self._episodes.derived().items()}
+        made = made._replace(
+            episodes=Table(self._sized(self._episodes), {**made.episodes, **derived})
+        )
         # columns as narrow as the longest code that occurs, so that a file doesn't depend on the
         # batch
         return Episodes.merged([made])
@@ -458,9 +460,8 @@ class _Record:
     def _see_own(self, columns: Columns, ids: Ids) -> None:
         """Keep a user's own columns of the states in lanes."""
         with InvalidInput.instead("columns of your own", Exception):
-            given = columns(self._batch, ids.copy())
-            found = {f"{STEPS.own}{name}": np.asarray(values) for name, values in given.items()}
-            for name, values in found.items():
+            for own_name, given in columns(self._batch, ids.copy()).items():
+                name, values = f"{STEPS.own}{own_name}", np.asarray(given)
                 if name not in self._steps:  # each, at the first state
                     self._add(name, values)
                 self._put(name, ids, values)

@@ -63,16 +63,16 @@ class MatchingPlayer(Player):
         halves = np.split(seen, 2, axis=2 if seen.shape[2] > task.image_size else 3)
         scale = PictureConfig.of(task.beads, size=task.image_size).pixels_per_metre
         # a goal's picture stays the same in an episode
-        goals = [_remembered(one.tobytes(), one.shape, task.beads, scale) for one in halves[1]]
-        ropes = [_places_by_hue(one, task.beads, scale) for one in halves[0]]
+        goals = [_remembered(half.tobytes(), half.shape, task.beads, scale) for half in halves[1]]
+        ropes = [_places_by_hue(half, task.beads, scale) for half in halves[0]]
         return np.stack(ropes), np.stack(goals)
 
 
 def _turned_onto(ropes: Array, goals: Array) -> Array:
     """Return goals (n, beads, 3) about their centres, turned about z to lie on ropes best."""
-    own, other = (shape - shape.mean(axis=1, keepdims=True) for shape in (ropes, goals))
+    rope, other = (shape - shape.mean(axis=1, keepdims=True) for shape in (ropes, goals))
     # as complex numbers, the best turn is the direction of the sum of rope x conjugate of goal
-    flat, wanted = (shape[..., 0] + 1j * shape[..., 1] for shape in (own, other))
+    flat, wanted = (shape[..., 0] + 1j * shape[..., 1] for shape in (rope, other))
     turn = (flat * wanted.conj()).sum(axis=1, keepdims=True)
     turned = wanted * turn / np.maximum(np.abs(turn), 1e-12)
     return np.stack([turned.real, turned.imag, other[..., 2]], axis=2)
@@ -102,6 +102,6 @@ def _places_by_hue(picture: NDArray[np.uint8], beads: int, scale: float) -> Arra
     middle = picture.shape[0] / 2
     for axis, at in enumerate((columns + 0.5 - middle, middle - rows - 0.5)):
         sums = np.bincount(best[pure], weights=at[pure], minlength=beads)
-        own = sums[known] / count[known] / scale
-        places[:, axis] = np.interp(np.arange(beads), known, own, period=beads)
+        middles = sums[known] / count[known] / scale
+        places[:, axis] = np.interp(np.arange(beads), known, middles, period=beads)
     return places

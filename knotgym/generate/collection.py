@@ -64,9 +64,7 @@ def _distinct_id(config: CollectConfig) -> str:
     'knotgym/tie-nx2/expert-pixels-v0'
     """
     task, policy = config.task, config.policy
-    own = as_json(task)
-    plain = {**as_json(TaskConfig(task="tie")), **{n: own[n] for n in Mark.values(task, "named")}}
-    rules = list(differences(plain, own))
+    rules = [*differences(as_json(TaskConfig(**Mark.values(task, "named"))), as_json(task))]
     rules += differences(as_json(PolicyConfig(policy=policy.policy)), as_json(policy))
     digest = hashlib.sha256("; ".join(rules).encode()).hexdigest()[:8]
     marks = {
@@ -192,9 +190,10 @@ def _first_steps(parts: list[Episodes], steps: int) -> list[Episodes]:
     needed = int(np.searchsorted(np.cumsum(lengths), steps)) + 1
     kept = list[Episodes]()
     for part in parts:
-        own = min(part.episodes.rows, needed)
-        kept += [part if own == part.episodes.rows else part.select(np.arange(own))] * (own > 0)
-        needed -= own
+        if needed < part.episodes.rows:
+            return [*kept, *[part.select(np.arange(needed))] * (needed > 0)]
+        kept.append(part)
+        needed -= part.episodes.rows
     return kept
 
 
@@ -222,8 +221,8 @@ def _repeat(recorded: Path, config: CollectConfig, numbers: range) -> Result:
         name = config.dataset_id
         raise InvalidFile(f"{name} is recorded with {rows} episodes, got {config.episodes}")
     seeds = [Stream.EPISODE.derived_seed(config.seed, number) for number in numbers]
-    own = stored.select(np.arange(numbers.start, numbers.stop))
-    return replay(own, config.policy_task, seeds).columns()
+    part = stored.select(np.arange(numbers.start, numbers.stop))
+    return replay(part, config.policy_task, seeds).columns()
 
 
 def _publish(

@@ -167,13 +167,13 @@ def drawn_rows(
     }:
         orders = list[_Order]()
         parts = [
-            (one, min(_COPIES, lacking - done))
-            for one, lacking in needed.items()
+            (kind, min(_COPIES, lacking - done))
+            for kind, lacking in needed.items()
             for done in range(0, lacking, _COPIES)
         ]
         # later rounds are of few codes, so several calls share the drawings of each
         sharing = max(1, CALLS // len(parts)) if made else 1
-        for (nx, index), wanted in (one for one in parts for _ in range(sharing)):
+        for (nx, index), wanted in (part for part in parts for _ in range(sharing)):
             # Numbers of drawings are reserved before they are made, so the same drawing never goes
             # to two calls.
             first, most = reserved[nx, index], _DRAWINGS * wanted // sharing
@@ -228,9 +228,9 @@ def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
     codes = [GaussCode.parse(text) for text in rows["gauss_code_chiral"].tolist()]
     assigned = np.full(len(codes), STATE_SPLITS[0], dtype="<U5")
     for nx in config.nx:
-        own = np.flatnonzero(rows["nx"] == nx)
+        rows_of_nx = np.flatnonzero(rows["nx"] == nx)
         rng = Stream.SPLIT.generator(config.seed, nx)
-        assigned[own] = _split([codes[row] for row in own], config.train_share, rng)
+        assigned[rows_of_nx] = _split([codes[row] for row in rows_of_nx], config.train_share, rng)
     return _keep_duplicates_together(assigned, rows["points"], codes)
 
 
@@ -253,8 +253,8 @@ def _split(
     assigned = np.full(len(codes), "test", dtype="<U5")
     # Order all states code by code, with codes and the states of each code shuffled. State i goes
     # to train where floor(i * share + 1/2) steps up: every stretch is split in the same proportion.
-    own = ([i for i, code in enumerate(plain) if code == kinds[k]] for k in order)
-    walk = [index for some in own for index in rng.permutation(some)]
+    groups = ([i for i, code in enumerate(plain) if code == kinds[k]] for k in order)
+    walk = [index for some in groups for index in rng.permutation(some)]
     trained_by = np.floor(np.arange(len(walk) + 1) * train_share + 0.5)
     assigned[np.array(walk, dtype=np.int64)[np.diff(trained_by) > 0]] = "train"
     return assigned
@@ -277,10 +277,10 @@ def _keep_duplicates_together(
     nx = [code.nx for code in codes]
     # room: states that each split of each nx may still take
     room = Counter(zip(nx, assigned.tolist(), strict=True))
-    members = [np.flatnonzero(family == one).tolist() for one in np.unique(family)]
+    members = [np.flatnonzero(family == number).tolist() for number in np.unique(family)]
     for rows in sorted(members, key=len, reverse=True):  # stable: equal sizes stay in order
-        own = str(assigned[rows[0]])
-        names = sorted(set(assigned.tolist()), key=lambda name: name != own)  # own wins a tie
+        split = str(assigned[rows[0]])
+        names = sorted(set(assigned.tolist()), key=lambda name: name != split)  # own wins a tie
         enough = len(assigned) if len(rows) > 1 else 1
         fitting = {name: sum(min(room[nx[row], name], enough) for row in rows) for name in names}
         changed[rows] = max(names, key=lambda name: fitting[name])
@@ -323,7 +323,7 @@ def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
     patterns = topology.chiralities(code)
     if (of := Knot(knot)).type == UNKNOT:
         return patterns
-    return tuple(one for one in patterns if of.is_shown_by(GaussCode(code.visits, one)))
+    return tuple(letters for letters in patterns if of.is_shown_by(GaussCode(code.visits, letters)))
 
 
 def _drawn(

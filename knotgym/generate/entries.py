@@ -54,7 +54,7 @@ class Entry(NamedTuple):
     claimed: list[dict[str, Any]]
 
     def __str__(self) -> str:
-        rows, pulls = (sum(one[k].rows for one in self.setups) for k in range(2))
+        rows, pulls = (sum(episodes[k].rows for episodes in self.setups) for k in range(2))
         return f"{rows} episodes of {pulls - rows} pulls, all replayed"
 
     def faults(self, progress: Progress) -> Iterator[str]:
@@ -79,10 +79,10 @@ class Entry(NamedTuple):
                 first = number * config.episodes
                 Counts.tell("episodes replayed", Counts.from_now(first, pool), total)
                 few, stored = blocks(config.episodes, task, policy.plans), self.setups[number]
-                parts = [stored.select(np.arange(one.start, one.stop)) for one in few]
-                seeds = [[seed_of(config.seed, k) for k in one] for one in few]
+                parts = [stored.select(np.arange(block.start, block.stop)) for block in few]
+                seeds = [[seed_of(config.seed, k) for k in block] for block in few]
                 made = [*map(dict[str, Any], pool.map(_replayed, [task] * len(few), seeds, parts))]
-                wrong = np.concatenate([one.pop("wrong") for one in made])
+                wrong = np.concatenate([part.pop("wrong") for part in made])
                 faults = [
                     f"setup {number + 1}, episode {first + k}: replayed, it ends otherwise or comes"
                     " through other states"
@@ -97,7 +97,7 @@ class Entry(NamedTuple):
                         what = f"{policy.policy}, played again, pulls otherwise"
                         faults.append(f"setup {number + 1}, episode {first + row}: {what}")
                 action = str(claimed.get("action", ""))
-                played = Episodes.merged([Episodes.of(one) for one in made]).episodes
+                played = Episodes.merged([Episodes.of(part) for part in made]).episodes
                 yield Result.of(policy.policy, action, task, played), faults
 
 
@@ -110,7 +110,7 @@ def write_entry(
         "protocol": {"config": common.as_json(config), "states": states_digests(config)},
         "claims": claimed,
     }
-    parts = [one.recording().of_setup(number) for number, one in enumerate(played)]
+    parts = [episodes.recording().of_setup(number) for number, episodes in enumerate(played)]
     write_episodes(path, parts, tasks, facts)
 
 
@@ -136,17 +136,17 @@ def read_entry(path: Path) -> Entry | None:
     with InvalidFile.instead(f"{path} has no valid configuration", *_RAISED):
         config = common.from_json(EvaluateConfig, said["config"])
         tasks = [common.as_json(task) for _, task in config.setups()]
-        states, claimed = states_digests(config), [dict(one) for one in said["claims"]]
+        states, claimed = states_digests(config), [dict(claim) for claim in said["claims"]]
     if said.get("states") != states:
         raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
     unlike = config.task.rope_config.unlike(said.get("rope"))
     if unlike := unlike or ENGINES[config.task.engine].unlike(said.get("engine")):
         raise InvalidFile(f"{path} was played with {unlike}")
-    own, steps = episodes
-    if own.rows != len(tasks) * config.episodes:  # before there is an array of so many
-        raise InvalidFile(f"{path} has {own.rows} episodes, other than its configuration asks for")
+    rows, steps = episodes
+    if rows.rows != len(tasks) * config.episodes:  # before there is an array of so many
+        raise InvalidFile(f"{path} has {rows.rows} episodes, other than its configuration asks for")
     of_setup = np.repeat(np.arange(len(tasks)), config.episodes)
-    if not np.array_equal(own["setup"], of_setup) or (said["tasks"], len(claimed)) != (
+    if not np.array_equal(rows["setup"], of_setup) or (said["tasks"], len(claimed)) != (
         tasks,
         len(tasks),
     ):
@@ -185,11 +185,11 @@ def acted_otherwise(
 ) -> int | None:
     """Play a policy again; return the first episode that isn't its own, None if all are."""
     made = rollouts(make_policy(policy), task, seeds)
-    found = made.recording().differing(episodes.recording())
+    differing = made.recording().differing(episodes.recording())
     # rows of earlier entries name nobody
     nobody = [(row, "policy") for row in np.flatnonzero(episodes.episodes["policy"] == "recorded")]
     passed = {"planner_steps", *nobody}
-    return next((row for row, _, name in found if not {name, (row, name)} & passed), None)
+    return next((row for row, _, name in differing if not {name, (row, name)} & passed), None)
 
 
 def states_digests(config: EvaluateConfig) -> dict[str, str]:

@@ -171,15 +171,15 @@ class EvaluateConfig:
         limits = [*map(_tow_limit, self.tasks)]
         wanted = TaskConfig(task="tie", states=_PROTOCOL["states"], engine=self.task.engine)
         wanted = replace(wanted, tow_limit=limits[0])
-        plain = (replace(one, task="tie", nx=2, split="test") for one in (wanted, self.task))
-        rules = [Mark.values(one, "rules", "physics", "look") for one in plain]
+        plain = (replace(task, task="tie", nx=2, split="test") for task in (wanted, self.task))
+        rules = [Mark.values(task, "rules", "physics", "look") for task in plain]
         pairs = [
-            *((f"task.{name}", one, rules[1][name]) for name, one in rules[0].items()),
+            *((f"task.{name}", wanted, rules[1][name]) for name, wanted in rules[0].items()),
             ("split", (*_PROTOCOL["splits"],), self.splits),
             ("seed", _PROTOCOL["seed"], self.seed),
             ("one task.tow_limit for each of its tasks", limits, limits[:1] * len(limits)),
         ]
-        yield from (f"{name} {one}, got {own}" for name, one, own in pairs if own != one)
+        yield from (f"{name} {right}, got {own}" for name, right, own in pairs if own != right)
         if self.episodes < _PROTOCOL["episodes"]:
             yield f"at least {_PROTOCOL['episodes']} episodes, got {self.episodes}"
 
@@ -251,18 +251,19 @@ class SuiteConfig:
         before the next.
         """
         for split, states in product(SPLITS, self.states):
-            own = SUITE | SUITE.get(states, {})
-            asked = {name: self._asked(name, states, own) for name in ("nx", "policies", "splits")}
+            table = SUITE | SUITE.get(states, {})
+            fields = "nx", "policies", "splits"
+            asked = {name: self._asked(name, states, table) for name in fields}
             if split not in asked["splits"]:
                 continue
             for task, nx, name in product(self.tasks, asked["nx"], asked["policies"]):
-                if task in own.get("only", {}).get(str(nx), self.tasks):
-                    yield self._set(own, task, nx, split, states, name)
+                if task in table.get("only", {}).get(str(nx), self.tasks):
+                    yield self._set(table, task, nx, split, states, name)
 
-    def _asked(self, name: str, states: str, own: Mapping[str, Any]) -> tuple[Any, ...]:
+    def _asked(self, name: str, states: str, table: Mapping[str, Any]) -> tuple[Any, ...]:
         """Return the requested values of a field, or all that a set of states has."""
-        asked, there = getattr(self, name) or (), own[name]
-        if missing := [one for one in asked if one not in there]:
+        asked, there = getattr(self, name) or (), table[name]
+        if missing := [value for value in asked if value not in there]:
             raise InvalidInput(
                 f"{name} of the sets on {states} states must be one of"
                 f" {', '.join(map(str, there))}, got {missing[0]}"
@@ -270,30 +271,29 @@ class SuiteConfig:
         return asked or tuple(there)
 
     def _set(
-        self, own: Mapping[str, Any], task: str, nx: int, split: str, states: str, name: str
+        self, table: Mapping[str, Any], task: str, nx: int, split: str, states: str, name: str
     ) -> CollectConfig:
-        policy, tiered = PolicyConfig(policy=own.get("acting", {}).get(name, name)), states == BENCH
-        tier = self.size or own.get("size", "")
-        settings = own["settings"].get(task, {}) | own["settings"].get(name, {})
+        policy = PolicyConfig(policy=table.get("acting", {}).get(name, name))
+        tier = self.size or table["size"] if states == BENCH else ""
+        settings = table["settings"].get(task, {}) | table["settings"].get(name, {})
         setup = TaskConfig(
             task=task,
             nx=nx,
             split=split,
             states=None if states == STATES[0] else states,
-            engine=own.get("engine", self.engine),
+            engine=table.get("engine", self.engine),
             observation=self.observation,
             **settings,
         )
-        marks = [setup.states or "", tier if tiered else ""]
-        marks += [] if self.seed == SUITE["seed"] else [f"seed{self.seed}"]
-        dataset_id = plain_id(setup, PolicyConfig(policy=name), *marks)
-        if beside := own.get("beside", {}).get(name, {}).get(task):
+        seeded = f"seed{self.seed}" * (self.seed != SUITE["seed"])
+        dataset_id = plain_id(setup, PolicyConfig(policy=name), setup.states or "", tier, seeded)
+        if beside := table.get("beside", {}).get(name, {}).get(task):
             setup = replace(setup, task=(task, beside))
-        one = CollectConfig(task=setup, policy=policy, seed=self.seed, dataset_id=dataset_id)
-        if not tiered:
+        config = CollectConfig(task=setup, policy=policy, seed=self.seed, dataset_id=dataset_id)
+        if not tier:
             sizes = SUITE["episodes"] | SUITE["episodes"].get(task, {})
             size = sizes[name][SUITE["nx"].index(nx)]
-            return replace(one, episodes=self.episodes.get(name, size))
+            return replace(config, episodes=self.episodes.get(name, size))
         if self.episodes:
             raise InvalidInput(f"sets on {BENCH} states have a --size, not a number of --episodes")
-        return replace(one, **SIZES[tier])
+        return replace(config, **SIZES[tier])

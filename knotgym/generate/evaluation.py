@@ -67,43 +67,30 @@ Evaluation = tuple[list[Result], list[Episodes], list[Episodes]]
 
 def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> runs.Recipe[Evaluation]:
     """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
-    setups = list(config.setups())
+    setups, seed = list(config.setups()), config.seed
     numbers = [blocks(config.episodes, task, policy.plans) for policy, task in setups]
     calls, mark = list[runs.Call](), ", recorded" * recorded
-    for setup, (one, own) in enumerate(zip(setups, numbers, strict=True), 1):
-        for few in own:
-            name = f"episodes of setup {setup}{mark} {few.start}-{few.stop - 1}"
-            calls.append(runs.Call(name, _play, (*one, few, config.seed, recorded), len(few)))
-    films = [] if config.failures else [range(filmed)] * (filmed and len(setups))
+    for number, (setup, parts) in enumerate(zip(setups, numbers, strict=True), 1):
+        for few in parts:
+            name = f"episodes of setup {number}{mark} {few.start}-{few.stop - 1}"
+            calls.append(runs.Call(name, _play, (*setup, few, seed, recorded), len(few)))
     rest = map(Episodes.of, (yield calls))
-    played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
-    rest = map(Episodes.of, (yield _films(setups, films, config.seed)))
-    if filmed and config.failures:
-        missed = [np.flatnonzero(~one.episodes["success"])[:filmed].tolist() for one in played]
-        if not any(missed):
-            raise Failed("every episode reached its goal, so there is no failure to film")
-        rest = map(Episodes.of, (yield _films(setups, missed, config.seed)))
-    actions = [make_policy(policy).compatible_task(task).action for policy, task in setups]
-    results = [
-        Result.of(policy.policy, action, task, one.episodes)
-        for (policy, task), action, one in zip(setups, actions, played, strict=True)
-    ]
-    return results, played, [*rest]
-
-
-def _films(
-    setups: Sequence[tuple[PolicyConfig, TaskConfig]], films: Sequence[Sequence[int]], seed: int
-) -> list[runs.Call]:
-    """Return the calls that play the episodes of each setup that are filmed, by their numbers."""
-    return [
-        runs.Call(
-            f"filmed episodes of setup {setup} {','.join(map(str, few))}",
-            _play,
-            (*one, few, seed, True),
-            len(few),
-        )
-        for setup, (one, few) in enumerate(zip(setups, films, strict=False), 1)
-    ]
+    played = [Episodes.merged([*islice(rest, len(parts))]) for parts in numbers]
+    calls = []
+    for number, (setup, episodes) in enumerate(zip(setups, played, strict=True), 1):
+        some: Sequence[int] = range(filmed)
+        if config.failures:
+            some = np.flatnonzero(~episodes.episodes["success"])[:filmed].tolist()
+        name = f"filmed episodes of setup {number} {','.join(map(str, some))}"
+        calls.append(runs.Call(name, _play, (*setup, some, seed, True), len(some)))
+    if filmed and not any(call.items for call in calls):
+        raise Failed("every episode reached its goal, so there is no failure to film")
+    films = map(Episodes.of, (yield calls if filmed else []))
+    results = []
+    for (policy, task), episodes in zip(setups, played, strict=True):
+        action = make_policy(policy).compatible_task(task).action
+        results.append(Result.of(policy.policy, action, task, episodes.episodes))
+    return results, played, [*films]
 
 
 def _require_playable(config: EvaluateConfig) -> None:
@@ -157,7 +144,7 @@ def evaluate(
     require_apart(out, video, record)
     _require_playable(config)
     made_by, results, films = runs.identity(config), list[Result](), list[Episodes]()
-    plan = compile_planning if any(one.plans for one in config.policies) else None
+    plan = compile_planning if any(policy.plans for policy in config.policies) else None
     compiles: dict[str, Any] = {"engine": config.task.engine, "plan": plan}
     both = {"video": video, "record": record}
     beside = {kind: more for kind, more in both.items() if more is not None}
@@ -171,7 +158,7 @@ def evaluate(
         # before the output, which says that all is done
         if video is not None:
             tasks = (task for _, task in config.setups())
-            steps = sum(one.steps.rows for one in films)
+            steps = sum(episodes.steps.rows for episodes in films)
             Counts.tell("drawing the film", Counts.from_now(), steps)
             frames = [*chain.from_iterable(map(film, films, tasks))]
             with atomic_write(video, overwrite=options.overwrite) as temporary:
@@ -183,7 +170,7 @@ def evaluate(
             digests = {kind: sha256(more) for kind, more in beside.items()}
             text = json.dumps(_report(config, results, made_by, digests), indent=1)
             # each list of numbers on one line
-            text = re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text)
+            text = re.sub(r"\[[-\d\s.,]+\]", lambda numbers: " ".join(numbers[0].split()), text)
             place.write_text(text + "\n", encoding="utf-8")
         return f"{len(results)} results of {config.episodes} episodes each"
 
@@ -201,7 +188,7 @@ def evaluate(
         tasks = [task for _, task in config.setups()]
         show(results, progress.console, config.task.engine, config.protocol, tasks)
     if films:
-        count = sum(one.episodes.rows for one in films)
+        count = sum(episodes.episodes.rows for episodes in films)
         progress.say(f"{video}: {count} episodes")
     return results
 
@@ -246,11 +233,14 @@ def _training(policy: PolicyConfig) -> dict[str, Any]:
     return {name: card[name] for name in _TRAINING if name in card}
 
 
-def _commit() -> str:
-    """Return the commit of the checkout that runs, or "" for an installed package."""
-    words = ("git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD")
+def _commit(module: Path = Path(__file__)) -> str:
+    """Return the commit of the checkout that holds a module; "" if it isn't one of its files, such
+    as in an environment that lies inside another checkout.
+    """
+    git = partial(subprocess.run, cwd=module.parent, capture_output=True, text=True, check=True)
     try:
-        return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+        git(("git", "ls-files", "--error-unmatch", module.name))
+        return git(("git", "rev-parse", "HEAD")).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return ""
 
@@ -269,9 +259,12 @@ def _report(
         made_by: the run's identity.
         beside: digests of what was written with it, a "video" and a "record".
     """
-    success = [reached for one in results for reached in one.outcomes["success"]]
-    starts = [f"{one.start_states} {row}" for one in results for row in one.outcomes["start"]]
-    goals = [f"{one.goal_states} {row}" for one in results for row in one.outcomes["goal"]]
+    success, starts, goals = list[int](), list[str](), list[str]()
+    for result in results:
+        success += result.outcomes["success"]
+        starts += [f"{result.start_states} {row}" for row in result.outcomes["start"]]
+        goals += [f"{result.goal_states} {row}" for row in result.outcomes["goal"]]
+    learners = {policy.policy: _training(policy) for policy in config.policies if policy.card()}
     return {
         "success_rate": float(np.mean(success)),
         "interval": list(runs.cluster_interval(success, starts, goals)),
@@ -279,8 +272,8 @@ def _report(
         **made_by,
         "engine": ENGINES[config.task.engine].behaviour(),
         "beside": dict(beside),
-        "learners": {one.policy: _training(one) for one in config.policies if one.card()},
-        "results": [asdict(one) for one in results],
+        "learners": learners,
+        "results": [asdict(result) for result in results],
     }
 
 
@@ -295,12 +288,13 @@ def film(episodes: Episodes, task: TaskConfig) -> list[NDArray[np.uint8]]:
         RGB pictures of one size, uint8, one for each state.
     """
     frames = list[NDArray[np.uint8]]()
-    for one in (episodes.select([row]) for row in range(episodes.episodes.rows)):
-        own, steps = one.episodes, one.steps
+    for number in range(episodes.episodes.rows):
+        episode = episodes.select([number])
+        row, steps = episode
         beads, forces = steps["bead"][:-1].tolist(), steps["force"][:-1].astype(np.float64)
-        length, pulls = int(own["length"][0]), [*zip(beads, forces, strict=True)]
-        headings = [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)]
-        ropes, goals = (a.astype(np.float64) for a in (steps["observation"], own["goal_points"]))
-        reached = one.goal_reached(task)
+        length, pulls = int(row["length"][0]), [*zip(beads, forces, strict=True)]
+        headings = [f"{row['policy'][0]}  step {k} of {length}" for k in range(length + 1)]
+        ropes, goals = (a.astype(np.float64) for a in (steps["observation"], row["goal_points"]))
+        reached = episode.goal_reached(task)
         frames += rendering.Film.frames([*ropes], goals[0], headings, pulls, reached, task.views)
     return frames

@@ -25,36 +25,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Array, Failed, InvalidInput, MissingExtra, Stream
+from knotgym.common import Array, Failed, MissingExtra, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes, PictureRow, finish_pictures, parquet, shard_name
 from knotgym.envs import TaskConfig
 from knotgym.generate.generate_config import ImagesConfig
+from knotgym.generate.image_plan import Plan, Quota, form_of, plan_of
 from knotgym.quality import base_spacing, grade_of, measure_all
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawer
-from knotgym.rope import RopeConfig
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compute, identity, run
-from knotgym.states import (
-    IMAGE_SPLITS,
-    NEAR,
-    Spectra,
-    States,
-    families,
-    held_form,
-    read_states,
-    resolve_states,
-)
-from knotgym.topology import Crossings, Symmetry, codes_of, find_crossings, pyknotid_code
+from knotgym.states import IMAGE_SPLITS, NEAR, Spectra, read_states, resolve_states
+from knotgym.topology import Crossings, Symmetry, find_crossings, pyknotid_code
 
 _SYMMETRIES = 12  # drawn for each frame
 _CHECKED = 16  # the frames of one rope in so many are read by pyknotid, too
-_held_form = lru_cache(maxsize=2**16)(held_form)
 # columns of frames
 _FRAME: dict[str, Any] = {
     **{"points": np.float64, "rope": np.int64, "pulls": np.int64, "nx": np.int64},
     **{"ease": np.float64, "symmetries": np.int64, "codes": np.str_, "camera": np.float64},
 }
-Quota = tuple[str, int]  # split and nx
 
 
 def make_images(
@@ -82,7 +71,7 @@ def make_images(
     MissingExtra.imported("pyarrow", "huggingface", "Parquet")
     config.appearance.require_used()
     path = resolve_states(None if states is None else str(states))
-    plan = _plan_of(config, read_states(path, images=False))
+    plan = plan_of(config, read_states(path, images=False))
     made = identity(config, {"name": path.name, "sha256": path})
     recipe = partial(_pictures, config, plan, made)
     return run(recipe, out, made, options, progress, compiles={"engine": config.engine})
@@ -92,103 +81,19 @@ def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> A
     """Return a pyarrow.Table of pictures for split train, as `ImagesConfig.pictured` describes."""
     plan, nx = _shipped_plan(config), config.trained
     each, more = divmod(count, len(nx))
-    quota = {("train", one): each + (index < more) for index, one in enumerate(nx)}
-    own = Stream.STREAM_PICTURES.derived_seed(seed, number)
-    pictures = _Pictures(replace(config, seed=own), plan._replace(quota=quota))
+    quota = {("train", crossings): each + (index < more) for index, crossings in enumerate(nx)}
+    block_seed = Stream.STREAM_PICTURES.derived_seed(seed, number)
+    pictures = _Pictures(replace(config, seed=block_seed), plan._replace(quota=quota))
     rows = [row for rows in compute(pictures.files()).values() for row in rows]
     return PictureRow.drawn(rows, config.appearance)
 
 
 @lru_cache(maxsize=2)
-def _shipped_plan(config: ImagesConfig) -> "_Plan":
-    return _plan_of(config, read_states(resolve_states(None), images=False))
+def _shipped_plan(config: ImagesConfig) -> Plan:
+    return plan_of(config, read_states(resolve_states(None), images=False))
 
 
-class _Plan(NamedTuple):
-    """What is made of which states.
-
-    Attributes:
-        quota: (split, nx) -> number of pictures.
-        held_out: codes, as `held_form` gives them, held out for split test-code.
-        states: with at most as many crossings as are asked for.
-        split: str (n,), the split of the ropes that start in each; "" for any, at plain loops.
-    """
-
-    quota: dict[Quota, int]
-    held_out: frozenset[str]
-    states: States
-    split: NDArray[np.str_]
-
-
-def _plan_of(config: ImagesConfig, states: States) -> _Plan:
-    """Plan what is made of states; raise InvalidInput if such pictures can't be."""
-    if unlike := RopeConfig().unlike(states.attributes.get("rope")):
-        raise InvalidInput(f"the states were made with {unlike}")
-    states = states.take(states.nx <= max(config.nx))
-    if not len(states):
-        raise InvalidInput(f"there is no state with at most {max(config.nx)} crossings")
-    knots = sorted(set(states.knot.tolist()))
-    codes = dict[int, list[str]]()
-    for nx in config.nx:
-        every = [str(code) for knot in knots for code in codes_of(knot, nx)]
-        if not every:
-            raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
-        codes[nx] = sorted({_held_form(code, marked=config.marked) for code in every})
-    quota = _quotas(config, {nx: len(codes[nx]) for nx in codes})
-    return _Plan(quota, _held_out(config, codes), states, _splits_of(config, states, set(quota)))
-
-
-def _splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDArray[np.str_]:
-    """Return the split of the ropes that start in each state, str (n,).
-
-    Near-duplicates, up to mirror images, reversal and renumbering, are in one split. It is "" for
-    plain loops: ropes that start there may be in any split.
-    """
-    family, split = families(states.points), np.full(len(states), "", dtype="<U9")
-    most = {one: int(states.nx[family == one].max()) for one in set(family.tolist())}
-    for nx in sorted(set(most.values())):
-        same = [one for one in sorted(most) if most[one] == nx]
-        order = Stream.IMAGE_FAMILIES.generator(config.seed, nx).permutation(len(same))
-        test = round(config.test_share * len(same)) or int(config.test_share > 0)
-        new = (round(config.code_share * len(same)) or 1) * (("test-code", nx) in wanted)
-        names = ["train", *["test"] * test, *["test-code"] * new, *["train"] * len(same)]
-        for place, name in zip(order.tolist(), names, strict=False):
-            split[family == same[place]] = "test-nx" if nx > max(config.trained) else name
-    split[states.nx == 0] = ""
-    return split
-
-
-def _quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
-    """Return (split, nx) -> number of pictures.
-
-    Args:
-        config: of the pictures.
-        codes: nx -> number of codes that can be held out.
-    """
-    out: dict[tuple[str, int], int] = {}
-    for index, nx in enumerate(config.nx):
-        here = config.count // len(config.nx) + (index < config.count % len(config.nx))
-        if nx in config.held_nx:
-            out["test-nx", nx] = here
-            continue
-        new = round(config.code_share * here) if codes[nx] >= 4 else 0
-        test = round(config.test_share * here)
-        out.update({("train", nx): here - test - new, ("test", nx): test, ("test-code", nx): new})
-    return {key: wanted for key, wanted in out.items() if wanted}
-
-
-def _held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> frozenset[str]:
-    """Return the codes, as `states.held_form` gives them, held out for split "test-code"."""
-    out: list[str] = []
-    for nx in config.trained:
-        if len(codes[nx]) >= 4 and config.code_share > 0:
-            order = Stream.IMAGE_CODES.generator(config.seed, nx).permutation(len(codes[nx]))
-            count = max(1, round(config.code_share * len(codes[nx])))
-            out += [codes[nx][k] for k in order[:count].tolist()]
-    return frozenset(out)
-
-
-def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Path) -> Recipe[str]:
+def _pictures(config: ImagesConfig, plan: Plan, made: dict[str, Any], place: Path) -> Recipe[str]:
     """Make pictures in the new folder `place`; the result is a summary."""
     pictures = _Pictures(config, plan)
     rows_of = yield from pictures.files()
@@ -219,7 +124,7 @@ class _Pictures:
             applied to the frame, and its camera is that in whose axes the points were before.
     """
 
-    def __init__(self, config: ImagesConfig, plan: _Plan) -> None:
+    def __init__(self, config: ImagesConfig, plan: Plan) -> None:
         self.ropes, self.chosen = list[_PicturedRope](), list[PictureRow]()
         self._config, self._plan = config, plan
         # by quota: ropes that were pulled for it, and pictures that they gave
@@ -240,13 +145,13 @@ class _Pictures:
         wave = idle = 0
         while lacking := self._lacking():
             before = len(self.chosen)
-            for found in (yield self._calls(wave, lacking)):
-                counts = zip(found["dropped"].tolist(), found["count"].tolist(), strict=True)
+            for frames in (yield self._calls(wave, lacking)):
+                counts = zip(frames["dropped"].tolist(), frames["count"].tolist(), strict=True)
                 self._dropped.update(dict(counts))
-                self._frames += len(found["rope"]) + int(found["count"].sum())
-                for row, number in enumerate(found["rope"].tolist()):
+                self._frames += len(frames["rope"]) + int(frames["count"].sum())
+                for row, number in enumerate(frames["rope"].tolist()):
                     quota = self.ropes[number].quota
-                    if reason := self._consider(found, row, quota[0]):
+                    if reason := self._consider(frames, row, quota[0]):
                         self._refused[reason] += 1
                     else:
                         self._gave[quota] += 1
@@ -278,7 +183,7 @@ class _Pictures:
             for start in rng.choice(self._starts(*key), size=few).tolist():
                 self.ropes.append(_PicturedRope(len(self.ropes), start, key))
             self._pulled[key] += few
-        missing = {split: {nx for one, nx in lacking if one == split} for split in IMAGE_SPLITS}
+        missing = {split: {nx for other, nx in lacking if other == split} for split in IMAGE_SPLITS}
         calls = []
         for at in range(first, len(self.ropes), config.ropes):
             group = self.ropes[at : at + config.ropes]
@@ -325,7 +230,7 @@ class _Pictures:
         return ""
 
     def _may_show(self, code: str, split: str) -> bool:
-        held_out = _held_form(code, marked=self._config.marked) in self._plan.held_out
+        held_out = form_of(code, marked=self._config.marked) in self._plan.held_out
         return split == "test-nx" or held_out == (split == "test-code")
 
     def _is_new(self, points: Array, split: str) -> bool:
@@ -333,21 +238,22 @@ class _Pictures:
 
         Within a split only the same shape as it lies counts, across splits any symmetric one.
         """
-        n, own = len(self.chosen), Spectra.of(points[None])
+        n, spectra = len(self.chosen), Spectra.of(points[None])
         known = self._known
         if known is None or n == len(known.square):  # full: double the room
-            room = [np.zeros((max(2048, 2 * n), *one.shape[1:]), one.dtype) for one in own]
+            room = [np.zeros((max(2048, 2 * n), *c.shape[1:]), c.dtype) for c in spectra]
             for new, old in zip(room, known or (), strict=False):
                 new[:n] = old
             known = self._known = Spectra(*room)
-        like = np.flatnonzero(np.linalg.norm(known.invariants[:n] - own.invariants, axis=1) < NEAR)
-        if len(like) and (own.turned_distances(known.take(like)) < NEAR).any():
+        apart = np.linalg.norm(known.invariants[:n] - spectra.invariants, axis=1)
+        like = np.flatnonzero(apart < NEAR)
+        if len(like) and (spectra.turned_distances(known.take(like)) < NEAR).any():
             return False
         others = like[[self.chosen[row].split != split for row in like.tolist()]]
-        if len(others) and (own.pair_distances(known.take(others)) < NEAR).any():
+        if len(others) and (spectra.pair_distances(known.take(others)) < NEAR).any():
             return False
-        for column, new in zip(known, own, strict=True):
-            column[n] = new[0]
+        for column, values in zip(known, spectra, strict=True):
+            column[n] = values[0]
         return True
 
     def files(self) -> Recipe[dict[str, list[PictureRow]]]:
@@ -362,17 +268,17 @@ class _Pictures:
         config, number = self._config, 0
         files: dict[str, list[PictureRow]] = {}
         for place, split in enumerate(IMAGE_SPLITS):
-            chosen = [one for one in self.chosen if one.split == split]
+            chosen = [picture for picture in self.chosen if picture.split == split]
             rng = Stream.IMAGE_ORDER.generator(config.seed, place)
             order = rng.permutation(len(chosen)).tolist()
             firsts = range(0, len(chosen), config.rows_per_file)
             for index, first in enumerate(firsts):
                 rows = files[shard_name(split, index, len(firsts))] = []
-                for one in (chosen[at] for at in order[first : first + config.rows_per_file]):
-                    rope = self.ropes[one.source["rope"]]
+                for picture in (chosen[at] for at in order[first : first + config.rows_per_file]):
+                    rope = self.ropes[picture.source["rope"]]
                     policy = config.policies[rope.number % len(config.policies)]
                     made = {"policy": policy, "start": rope.start, "seed": config.seed}
-                    rows.append(one._replace(source={**made, "row": number, **one.source}))
+                    rows.append(picture._replace(source={**made, "row": number, **picture.source}))
                     number += 1
         return files
 
@@ -436,7 +342,7 @@ def _frames_of(
         crossing would be at the base bead. `camera` float64 (m, 2), tilt and heading, degrees.
         `dropped` and `count`: why frames were dropped, and how many.
     """
-    look, found = config.appearance, list[tuple[Any, ...]]()
+    look, frames = config.appearance, list[tuple[Any, ...]]()
     kind, drawer, sight = APPEARANCES[look.name], Drawer.of(look.name), (0.0, 0.0)
     dropped: Counter[str] = Counter()
     for (index, pulls), points in _observed(config, ropes, start_qpos).items():
@@ -446,13 +352,13 @@ def _frames_of(
             points, sight = drawer.seen(points, look, camera)
         crossings = find_crossings(points)
         if crossings.nx in wanted[rope.quota[0]]:
-            found.append((points, rope.number, pulls, crossings, sight))
+            frames.append((points, rope.number, pulls, crossings, sight))
         else:
             dropped["crossings"] += 1
-    seen = np.array([one[0] for one in found])
-    measured = measure_all(seen, [one[3] for one in found], quick=True)
+    seen = np.array([frame[0] for frame in frames])
+    measured = measure_all(seen, [frame[3] for frame in frames], quick=True)
     rows = list[tuple[Any, ...]]()
-    for (points, number, pulls, crossings, sight), whole in zip(found, measured, strict=True):
+    for (points, number, pulls, crossings, sight), whole in zip(frames, measured, strict=True):
         quality = replace(whole, base_spacing=np.inf)  # the base bead is chosen below
         faults = config.limits.faults(quality, crossings.nx)
         if not faults and not drawer.legible(points, min(look.sides), crossings):
@@ -487,20 +393,20 @@ def _observed(
 ) -> dict[tuple[int, int], Array]:
     """Return the points of frames by index of the rope and pulls, in that order."""
     task = TaskConfig(task="unknot", nx=1, engine=config.engine, horizon=config.pulls, endless=True)
-    found: dict[tuple[int, int], Array] = {}
+    points_of: dict[tuple[int, int], Array] = {}
     for turn, policy in enumerate(config.policies):
-        own = [k for k, rope in enumerate(ropes) if rope.number % len(config.policies) == turn]
-        seeds = [Stream.IMAGE_WALK.derived_seed(config.seed, ropes[k].number) for k in own]
-        starts = Episodes.to_begin(start_qpos[own], np.array(seeds, np.int64))
+        turns = [k for k, rope in enumerate(ropes) if rope.number % len(config.policies) == turn]
+        seeds = [Stream.IMAGE_WALK.derived_seed(config.seed, ropes[k].number) for k in turns]
+        starts = Episodes.to_begin(start_qpos[turns], np.array(seeds, np.int64))
         acting, kept = make_policy(PolicyConfig(policy=policy)), STEPS.only("observation")
-        played = rollouts(acting, task, starts, lanes=max(1, len(own)), keep=kept)
+        played = rollouts(acting, task, starts, lanes=max(1, len(turns)), keep=kept)
         lengths = played.episodes["length"].tolist()
-        for index, first, length in zip(own, played.offsets.tolist(), lengths, strict=False):
+        for index, first, length in zip(turns, played.offsets.tolist(), lengths, strict=False):
             for pulls in range(config.stride, length + 1, config.stride):
                 points = played.steps["observation"][first + pulls].astype(np.float64)
                 if np.isfinite(points).all():
-                    found[index, pulls] = points
-    return dict(sorted(found.items()))
+                    points_of[index, pulls] = points
+    return dict(sorted(points_of.items()))
 
 
 def _shown(

@@ -82,7 +82,7 @@ def import_curves(paths: Sequence[str | Path]) -> tuple[States, list[str]]:
     if not made:
         more = len(refused) - 1
         raise InvalidInput(refused[0] + f"; {more} more are refused" * bool(more))
-    made.sort(key=lambda one: one[1]["nx"])
+    made.sort(key=lambda named: named[1]["nx"])
     names = [name for name, _ in made]
     config = {"curves": names, "limits": asdict(Limits()), "engine": simulation.engine}
     rows = stacked([row for _, row in made])

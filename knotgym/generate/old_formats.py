@@ -40,8 +40,8 @@ def old_entry(path: Path) -> tuple[Episodes, dict[str, Any]]:
     if lengths.sum() != len(forces):
         raise InvalidFile(f"{path}: its episodes don't fit its pulls")
     made = Episodes.to_repeat(lengths, {"bead": pulls["bead"], "force": forces}, "recorded")
-    own = {**made.episodes, digest.name: rows[digest.name]}
-    made = made._replace(episodes=Table(made.episodes.schema.extended(digest), own))
+    columns = {**made.episodes, digest.name: rows[digest.name]}
+    made = made._replace(episodes=Table(made.episodes.schema.extended(digest), columns))
     with InvalidFile.instead(
         f"{path} has no valid configuration", *(KnotgymError, LookupError, TypeError, ValueError)
     ):

@@ -150,8 +150,8 @@ class _PhasePlayer(Player):
         for index in ids.tolist():
             key = self._policy.keys[self._batch.number[index]]
             self._drawn[index] = drawn_actions(key, self._policy.config.random)
-            own = (*key[:-1], key[-1] + 1)  # actions have their own
-            self._rngs[index] = Stream.generator_of(own)
+            actions_key = (*key[:-1], key[-1] + 1)  # actions have their own
+            self._rngs[index] = Stream.generator_of(actions_key)
         self._scripted.begin(ids, [self._rngs[index] for index in ids.tolist()])
 
     def act(self, ids: Ids) -> Pulls:
@@ -162,8 +162,8 @@ class _PhasePlayer(Player):
         # lanes are in different steps, so in different phases: each phase pulls its own
         now = np.searchsorted(self._ends, steps, side="right")
         for phase in np.unique(now[now < len(self._phases)]):  # after the last one ropes rest
-            own = now == phase
-            beads[own], forces[own] = self._phases[phase](ids[own])
+            pulled = now == phase
+            beads[pulled], forces[pulled] = self._phases[phase](ids[pulled])
         recorded = np.flatnonzero(steps < self._ends[-1])
         some = ids[recorded]
         made = self._simulation.actions(beads[recorded], forces[recorded], some)

@@ -138,10 +138,11 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
     raised = ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError
     with InvalidFile.instead(f"{path} isn't a file of `knotgym evaluate --out`", *raised):
         content = read_json(path)
-        results, config = [from_json(Result, one) for one in content["results"]], content["config"]
+        results = [from_json(Result, result) for result in content["results"]]
+        config = content["config"]
         policies = [policy["policy"] for policy in config["policies"]]
         several = policies, *(config[name] for name in ("tasks", "splits", "nx"))
-        setups = [(one.policy, one.task, one.split, one.nx) for one in results]
+        setups = [(result.policy, result.task, result.split, result.nx) for result in results]
         if math.prod(map(len, several)) != len(setups) or [*product(*several)] != setups:
             raise InvalidInput("its results aren't those of its configuration's setups")
         yield content, results
@@ -164,51 +165,50 @@ def show(
         tasks: of the results; with them the goals that failed most are listed.
     """
     say = partial(console.print, highlight=False)
-    steps = ["steps"] * any(one.steps is not None for one in results)
+    steps = ["steps"] * any(result.steps is not None for result in results)
     table = narrow_table((*_SETUP, "success", "95 % interval", *steps, "return"), left=_SETUP[:3])
     # policies of one name, with other settings, are told apart by numbers
     rows: dict[tuple[str, str, str, int], Result] = {}
-    for one in results:
-        name, number = _acting(one), 1
-        while rows.setdefault((name, one.task, one.split, one.nx), one) is not one:
-            number, name = number + 1, f"{_acting(one)} ({number + 1})"
-    for (*setup, nx), one in rows.items():
-        took = [""] if one.steps is None else [f"{one.steps:.1f}"]
-        rates = [f"{100 * rate:.1f}" for rate in (one.success_rate, one.low, one.high)]
+    for result in results:
+        name, number = _acting(result), 1
+        while rows.setdefault((name, result.task, result.split, result.nx), result) is not result:
+            number, name = number + 1, f"{_acting(result)} ({number + 1})"
+    for (*setup, nx), result in rows.items():
+        took = [""] if result.steps is None else [f"{result.steps:.1f}"]
+        rates = [f"{100 * rate:.1f}" for rate in (result.success_rate, result.low, result.high)]
         interval = f"{rates[1]} to {rates[2]} %"
-        cells = f"{rates[0]} %", interval, *took[: len(steps)], f"{one.mean_return:.2f}"
+        cells = f"{rates[0]} %", interval, *took[: len(steps)], f"{result.mean_return:.2f}"
         table.add_row(*setup, str(nx), *cells)
     console.print(table)
     columns = *_SETUP, "goal", "failed", "of"
     failed = narrow_table(columns, title="goals that failed most", left=(*_SETUP[:3], "goal"))
-    for one, asked in zip(results, tasks, strict=False):
-        goals = task_sides(asked)[0][1].states.gauss_code[[*one.outcomes["goal"]]]
-        for goal, (missed, count) in Episodes.missed(goals, one.outcomes["success"])[:_WORST]:
-            failed.add_row(
-                _acting(one), one.task, one.split, str(one.nx), goal, str(missed), str(count)
-            )
+    for result, asked in zip(results, tasks, strict=False):
+        goals = task_sides(asked)[0][1].states.gauss_code[[*result.outcomes["goal"]]]
+        for goal, (missed, count) in Episodes.missed(goals, result.outcomes["success"])[:_WORST]:
+            who = _acting(result), result.task, result.split, str(result.nx)
+            failed.add_row(*who, goal, str(missed), str(count))
     if failed.row_count:
         console.print(failed)
-    for one in results:
-        if one.planned_actions:
+    for result in results:
+        if result.planned_actions:
             say(
-                f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
-                f" {one.planned_actions:.0f} simulated pulls an episode"
+                f"{result.policy}, {result.task} nx {result.nx}, {result.split}: planned with"
+                f" {result.planned_actions:.0f} simulated pulls an episode"
             )
-    mixed = [one for one in results if one.start_states != one.goal_states]
-    for task, nx in dict.fromkeys((one.task, one.nx) for one in mixed):
+    mixed = [result for result in results if result.start_states != result.goal_states]
+    for task, nx in dict.fromkeys((result.task, result.nx) for result in mixed):
         say(f"{task} nx {nx}: the state file has no plain loops; the included ones are used.")
     if protocol:
         say(f"protocol {protocol}")
     if not ENGINES[engine].is_reference:
         say(f"engine {engine}, not the reference engine {MUJOCO}")
-    numbers = list(dict.fromkeys(one.nx for one in results))
+    numbers = list(dict.fromkeys(result.nx for result in results))
     if len(numbers) > 1:
         heads = *_SETUP[:3], *(f"nx {nx}" for nx in numbers)
         matrix = narrow_table(heads, title="success, %", left=_SETUP[:3])
         for acting, task, split in dict.fromkeys(key[:3] for key in rows):
-            found = [rows[acting, task, split, nx].success_rate for nx in numbers]
-            matrix.add_row(acting, task, split, *(f"{100 * rate:.1f}" for rate in found))
+            success = [rows[acting, task, split, nx].success_rate for nx in numbers]
+            matrix.add_row(acting, task, split, *(f"{100 * rate:.1f}" for rate in success))
         console.print(matrix)
 
 
@@ -225,10 +225,10 @@ def references_of(task: TaskConfig) -> dict[str, Any]:
     """Return the reference scores of a task as Minari names them, each None if there are none."""
     # the scores are of the usual rules and rope, on states that were split by state
     plain = TaskConfig(**Mark.values(task, "named"))
-    rules = [Mark.values(one, "rules", "physics") for one in (task, plain)]
-    own = rules[0] == rules[1] and not SPLITS[task.split].by_code
+    rules = [Mark.values(config, "rules", "physics") for config in (task, plain)]
+    is_usual = rules[0] == rules[1] and not SPLITS[task.split].by_code
     protocol = reference_scores().get(f"{task.states or 'readable'}-{task.engine}", {})
-    scores = protocol.get("cells", {}).get(task.name, {}) if own else {}
+    scores = protocol.get("cells", {}).get(task.name, {}) if is_usual else {}
     return {
         "ref_min_score": scores.get("random"),
         "ref_max_score": scores.get("expert"),

@@ -84,7 +84,7 @@ def _state_recipe(config: GenerateConfig, made_by: Mapping[str, Any], place: Pat
     report: dict[str, Any] = {
         "version": knotgym.__version__,
         "mujoco": mujoco.__version__,
-        "source": " and ".join(one.source for one in config.parts),
+        "source": " and ".join(part.source for part in config.parts),
         "knot": Knot(config.knot).type,
     }
     rows, split = yield from _rows(config, report)
@@ -102,15 +102,15 @@ def _state_recipe(config: GenerateConfig, made_by: Mapping[str, Any], place: Pat
 def _rows(config: GenerateConfig, report: dict[str, Any]) -> Recipe[tuple[Table, NDArray[np.str_]]]:
     """Take states from their sources, with their splits; no two are near duplicates."""
     parts, splits = list[Table](), list[NDArray[np.str_]]()
-    for one in config.parts:
-        found: dict[str, Any] = {}
-        source = SOURCES[one.source]
+    for part in config.parts:
+        counts: dict[str, Any] = {}
+        source = SOURCES[part.source]
         apart_from = [part["points"] for part in parts]
-        rows = yield from source.function("rows")(one, found, apart_from)
-        splits.append(source.function("splits")(one, rows))
+        rows = yield from source.function("rows")(part, counts, apart_from)
+        splits.append(source.function("splits")(part, rows))
         parts.append(rows)
-        report["attempts"] = report.get("attempts", 0) + found.pop("attempts")
-        report.update({name: {**report.get(name, {}), **each} for name, each in found.items()})
+        report["attempts"] = report.get("attempts", 0) + counts.pop("attempts")
+        report.update({name: {**report.get(name, {}), **each} for name, each in counts.items()})
     schema = ROWS.only(*{name for part in parts for name in part})
     rows = joined(part.filled(schema) for part in parts)
     order = np.argsort([config.nx.index(nx) for nx in rows["nx"].tolist()], kind="stable")
@@ -166,8 +166,8 @@ def _start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, N
         there = set(states.split[states.nx == crossings].tolist())
         if there == set(STATE_SPLITS) or (not crossings and not there):
             continue
-        own: dict[str, Any] = {"nx": (crossings,), "engine": config.engine_used}
-        starts = replace(config, **_STARTS, **own)
+        settings: dict[str, Any] = {"nx": (crossings,), "engine": config.engine_used}
+        starts = replace(config, **_STARTS, **settings)
         others = [states.points, *(part["points"] for part in parts)]
         rows = yield from drawn_rows(starts, {}, others, f"drawing starts, {crossings}")
         parts.append(rows)
@@ -237,8 +237,8 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
         task = replace(task, horizon=min(task.horizon, _SHORT))
     batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
     for index, goal in enumerate(goals):
-        own = Stream.DEMONSTRATED.derived_seed(seed, goal, attempt)
-        batch.begin(ids[index : index + 1], [own], {"goal": goal})
+        start_seed = Stream.DEMONSTRATED.derived_seed(seed, goal, attempt)
+        batch.begin(ids[index : index + 1], [start_seed], {"goal": goal})
     rows = {"start": batch.start_row, "goal": batch.goal_row}
     starts = Episodes.to_begin(batch.start_qpos, batch.seed, **rows)
     played = rollouts(make_policy(config), task, starts, attempt=attempt)
@@ -285,10 +285,10 @@ def _published(
     knot, dataset = Knot(config.knot).type, [""] * len(states)
     trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
     for nx, split in product(config.nx, STATE_SPLITS):
-        own = [made[row] for row in states.rows(nx, split).tolist() if row in made]
-        if not own:
+        parts = [made[row] for row in states.rows(nx, split).tolist() if row in made]
+        if not parts:
             continue
-        episodes = Episodes.merged(own)
+        episodes = Episodes.merged(parts)
         rows, name = episodes.episodes, _dataset_id(nx, split, knot)
         metadata = MinariMetadata(
             dataset_id=name,

@@ -54,21 +54,21 @@ def judge(
     shown = crossings.code
 
     def _judged(quality: Quality) -> Judgement:
-        missed = [fault for one in limits for fault in one.faults(quality, crossings.nx)]
+        missed = [fault for limit in limits for fault in limit.faults(quality, crossings.nx)]
         return Judgement(shown, quality, list(dict.fromkeys(missed)))
 
-    found = _judged(measure(p, crossings, quick=True))
+    judgement = _judged(measure(p, crossings, quick=True))
     if code is not None and shown != code:
-        found.faults.append("code lost at rest")
-    if not found.faults:
-        found = _judged(measure(p, crossings))
-    if not found.faults:
-        found = _judged(replace(found.quality, noise_survival=noise_survival(p)))
-    if not found.faults and pyknotid_code(p) != shown:
-        found.faults.append("labellers disagree")
-    if not found.faults and code is None and not Knot(UNKNOT).is_shown_by(shown):
-        found.faults.append(f"not certified as {UNKNOT}")
-    return found
+        judgement.faults.append("code lost at rest")
+    if not judgement.faults:
+        judgement = _judged(measure(p, crossings))
+    if not judgement.faults:
+        judgement = _judged(replace(judgement.quality, noise_survival=noise_survival(p)))
+    if not judgement.faults and pyknotid_code(p) != shown:
+        judgement.faults.append("labellers disagree")
+    if not judgement.faults and code is None and not Knot(UNKNOT).is_shown_by(shown):
+        judgement.faults.append(f"not certified as {UNKNOT}")
+    return judgement
 
 
 def row_of(judgement: Judgement, points: Array, qpos: Array, **source: Any) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def row_of(judgement: Judgement, points: Array, qpos: Array, **source: Any) -> d
 
 def stacked(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return single rows as a table; their actions may differ in number."""
-    made = [Table(ROWS, {name: np.array([one]) for name, one in row.items()}) for row in rows]
+    made = [Table(ROWS, {name: np.array([value]) for name, value in row.items()}) for row in rows]
     return joined(made)
 
 
@@ -160,20 +160,20 @@ class Selection:
         """
         points = rows["points"][row]
         code = GaussCode.parse(str(rows["gauss_code_chiral"][row]))
-        own, near = Spectra.of(points[None]), False
-        known = np.array([one.invariants[0] for _, one in self._known])
-        off = known.reshape(-1, own.invariants.size) - own.invariants
+        spectra, near = Spectra.of(points[None]), False
+        known = np.array([other.invariants[0] for _, other in self._known])
+        off = known.reshape(-1, spectra.invariants.size) - spectra.invariants
         # no symmetry brings two closer than their invariants; the margin is for rounding
         for k in np.flatnonzero(np.linalg.norm(off, axis=1) < NEAR + 1e-9):
             shown, other = self._known[k]
             if not lenient or shown is None or code.matches(shown):
-                near |= own.pair_distances(other)[0] < NEAR
+                near |= spectra.pair_distances(other)[0] < NEAR
             elif shown.nx == code.nx:
-                near |= own.turned_distances(other)[0, 0] < NEAR
+                near |= spectra.turned_distances(other)[0, 0] < NEAR
         if near:
             self.rejected[code.nx]["near-duplicate"] += 1
             return False
-        self._known.append((code, own))
+        self._known.append((code, spectra))
         self._parts.append(rows.take(slice(row, row + 1)))
         return True
 

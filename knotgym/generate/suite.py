@@ -62,20 +62,20 @@ def make_suite(
     folder = root / "knotgym"
     wanted = _recorded(config) if config.recorded else [*config.sets()]
     if config.verify:
-        _require_known([one.dataset_id for one in wanted], root, progress)
+        _require_known([config.dataset_id for config in wanted], root, progress)
         return folder
-    for one in wanted:  # before anything is made
-        require_collectable(one, root, options)
+    for part in wanted:  # before anything is made
+        require_collectable(part, root, options)
     _require_own_card(folder, options)
-    for number, one in enumerate(wanted, 1):
-        size = f"{one.steps:,} steps" if one.steps else f"{one.episodes} episodes"
-        progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {size}")
-        recorded = _recording(one.dataset_id) if config.recorded else None
-        collect(one, root, options, progress=progress, recorded=recorded)
+    for number, part in enumerate(wanted, 1):
+        size = f"{part.steps:,} steps" if part.steps else f"{part.episodes} episodes"
+        progress.say(f"set {number} of {len(wanted)}: {part.dataset_id}, {size}")
+        recorded = _recording(part.dataset_id) if config.recorded else None
+        collect(part, root, options, progress=progress, recorded=recorded)
     sets = _described(config, root)
     _write_card(sets, config.seed, folder)
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
-    agreement = {one.dataset_id: sets[one.dataset_id]["recorded"] for one in wanted}
+    agreement = {part.dataset_id: sets[part.dataset_id]["recorded"] for part in wanted}
     differing = [f"{name} {how}" for name, how in agreement.items() if how.startswith("differs")]
     if config.recorded and differing:
         raise Failed(
@@ -142,15 +142,15 @@ def _recorded(config: SuiteConfig) -> list[CollectConfig]:
     the same setups.
     """
     every = replace(config, policies=None).sets()
-    setups, wanted = {one.task for one in every if _recording(one.dataset_id)}, []
-    for one in config.sets():
-        if path := _recording(one.dataset_id):
+    setups, wanted = {part.task for part in every if _recording(part.dataset_id)}, []
+    for part in config.sets():
+        if path := _recording(part.dataset_id):
             policy = common.from_json(PolicyConfig, run_facts(path)["config"]["policy"])
-            wanted.append(replace(one, policy=policy))
-        elif one.policy.policy == "random" and one.task in setups:
-            wanted.append(one)
+            wanted.append(replace(part, policy=policy))
+        elif part.policy.policy == "random" and part.task in setups:
+            wanted.append(part)
     if not wanted:
-        there = ", ".join(sorted(one.stem for one in _RECORDINGS.iterdir())) or "no recording"
+        there = ", ".join(sorted(path.stem for path in _RECORDINGS.iterdir())) or "no recording"
         raise InvalidFile(f"nothing of this is recorded; there is {there}")
     return wanted
 
@@ -160,10 +160,10 @@ def _require_own_card(folder: Path, options: RunOptions) -> None:
     overwrite.
     """
     try:
-        own = common.read_json(folder / "suite.json")["format"] == _FORMAT
+        is_suite = common.read_json(folder / "suite.json")["format"] == _FORMAT
     except (OSError, ValueError, KeyError, TypeError):
-        own = False
-    if not (own and options.resume):
+        is_suite = False
+    if not (is_suite and options.resume):
         for name in _CARD:
             require_output(folder / name, folder=False, overwrite=options.overwrite, reads=[])
 
@@ -173,7 +173,7 @@ def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
     whole = SuiteConfig(observation=config.observation, seed=config.seed)
     parts = [replace(whole, engine=engine) for engine in ENGINES]
     parts += [replace(whole, states=(BENCH,), size=size) for size in SIZES]
-    ids = [one.dataset_id for part in parts for one in part.sets()]
+    ids = [config.dataset_id for part in parts for config in part.sets()]
     return {name: _describe_set(root / name) for name in ids if (root / name).exists()}
 
 
@@ -241,9 +241,9 @@ def _write_card(sets: Mapping[str, Any], seed: int, folder: Path) -> None:
     report = {"format": _FORMAT, "format_version": 1, **made_by, "sets": sets}
     folder.mkdir(parents=True, exist_ok=True)
     references = [
-        (measured, setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
+        (measured, setup, f"{scores['random']:.2f}", f"{scores['expert']:.2f}", scores["episodes"])
         for measured, protocol in reference_scores().items()
-        for setup, one in protocol["cells"].items()
+        for setup, scores in protocol["cells"].items()
     ]
     card = suite_card(report, references)
     texts = json.dumps(report, indent=1, sort_keys=True) + "\n", card

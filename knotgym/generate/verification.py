@@ -42,8 +42,8 @@ def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
         FileNotFoundError: there is nothing at `source`.
         MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
     """
-    found = _recounted(resolve(os.fspath(source)))
-    return [*faults(source, sample=sample)] if found is None else found
+    recounted = _recounted(resolve(os.fspath(source)))
+    return [*faults(source, sample=sample)] if recounted is None else recounted
 
 
 def faults(
@@ -55,11 +55,11 @@ def faults(
         source, sample: as of `verify`, but no entry.
         each: `map` or a pool's.
     """
-    clean, found = True, datasets.locate(os.fspath(source))
-    for fault in datasets.faults(found, replay, each, sample):
+    clean, located = True, datasets.locate(os.fspath(source))
+    for fault in datasets.faults(located, replay, each, sample):
         clean = False
         yield fault
-    for path in found.episodes if clean else ():
+    for path in located.episodes if clean else ():
         opened = open_episodes(path)
         yield from (f"{opened.path}: {fault}" for fault in _metadata_faults(opened))
         yield from _recounted(opened.path) or ()
@@ -71,7 +71,7 @@ def _recounted(path: Path) -> list[str] | None:
         entry = read_entry(path)
     except InvalidFile as error:
         return [str(error)]
-    return entry and [f"{path}: {fault}" for _, own in entry.recounted() for fault in own]
+    return entry and [f"{path}: {fault}" for _, faults in entry.recounted() for fault in faults]
 
 
 def claims(dataset: EpisodeDataset) -> set[str]:
@@ -79,8 +79,9 @@ def claims(dataset: EpisodeDataset) -> set[str]:
     about, acting = dataset.metadata or {}, _acting(dataset)
     said = {name for name in _CLAIMED if about.get(name)}
     said |= {"policy", *(["algorithm_name"] * ("algorithm_name" in about))} if not acting else set()
-    own = {} if _is_other(dataset) else {k for k, v in references_of(dataset.task).items() if v}
-    said |= {name for name in references_of(dataset.task) if about.get(name)} - {*own}
+    for name, right in references_of(dataset.task).items():
+        if about.get(name) and (_is_other(dataset) or not right):
+            said.add(name)
     return said | {*dataset.episodes.claims()}
 
 
@@ -104,7 +105,7 @@ def _metadata_faults(dataset: EpisodeDataset) -> Iterator[str]:
         if (said := about.get("algorithm_name")) not in (policy.get("policy"), acted):
             yield f"algorithm_name is {said!r}, the policy of its run {policy.get('policy')!r}"
         for name in _AUTHORS:
-            said, right = (sorted(map(str, one.get(name) or ())) for one in (about, config))
+            said, right = (sorted(map(str, said_of.get(name) or ())) for said_of in (about, config))
             if said != right:
                 yield f"{name} is {said}, that of its run {right}"
     if _is_other(dataset):

@@ -90,7 +90,7 @@ class HandTab:
             if event.phase == "end" or type(bead) is not int or len(place) != 3:
                 self._drag = None
                 return
-            target = np.array([_number(one, _FARTHEST) for one in place]) / SCALE
+            target = np.array([_number(coordinate, _FARTHEST) for coordinate in place]) / SCALE
             points = self.session.points
             height = _number(self._lift.value, 1.0) if lift is None else lift
             if height:

@@ -179,8 +179,8 @@ def _is_own_page(headers: Mapping[str, str]) -> bool:
     False
     """
     named = headers.get("Host", "")
-    own = _OWN_HOST.fullmatch(named) is not None
-    return own and headers.get("Origin", f"http://{named}") == f"http://{named}"
+    is_own = _OWN_HOST.fullmatch(named) is not None
+    return is_own and headers.get("Origin", f"http://{named}") == f"http://{named}"
 
 
 def _require_port(port: int) -> None:

@@ -138,11 +138,11 @@ class Recorder:
         return stored
 
     def _store(self, number: int, pulls: Sequence[HandPull]) -> None:
-        own = _columns(pulls)
-        del own["helped"]
+        columns = _columns(pulls)
+        del columns["helped"]
         if _content(self._task) != self._states:
             raise InvalidFile(f"{self._task.states} changed since the session began; put it back")
-        whole = Episodes.to_repeat(np.array([len(pulls)]), own, self._policy)
+        whole = Episodes.to_repeat(np.array([len(pulls)]), columns, self._policy)
         played = replay(whole, self._task, [self._seed_of(number)])
         there = [open_episodes(self.folder).episodes] if self.folder.exists() else []
         named, about, root = self._task.states, self._metadata, self._root
@@ -157,19 +157,19 @@ class Recorder:
         """Return the seeds of the episodes in the dataset, if there is one to continue."""
         if not os.path.lexists(self.folder):
             return set()
-        found: EpisodeDataset = open_episodes(self.folder)
-        named, own = as_json(found.task), as_json(self._task)
+        stored: EpisodeDataset = open_episodes(self.folder)
+        named, settings = as_json(stored.task), as_json(self._task)
         # a file of states has another name in each of them
-        named["states"], own["states"] = _content(found.found_task), self._states
-        if (found.metadata or {}).get("algorithm_name") != HUMAN or named != own:
-            unlike = "; ".join(differences(named, own))
+        named["states"], settings["states"] = _content(stored.found_task), self._states
+        if (stored.metadata or {}).get("algorithm_name") != HUMAN or named != settings:
+            unlike = "; ".join(differences(named, settings))
             raise InvalidFile(
                 f"{self.folder} isn't a recording of this task with these settings: give another"
                 f" --id, or the settings that it has ({unlike or 'nobody pulled by hand'})"
             )
-        if unlike := ENGINES[self._task.engine].unlike(found.attributes.get("engine")):
+        if unlike := ENGINES[self._task.engine].unlike(stored.attributes.get("engine")):
             raise InvalidFile(f"{self.folder} was recorded in {unlike}; give another --id")
-        return set(found.episodes.episodes["seed"].tolist())
+        return set(stored.episodes.episodes["seed"].tolist())
 
 
 def _content(task: TaskConfig) -> str:

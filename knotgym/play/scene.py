@@ -87,15 +87,15 @@ class RopeScene:
 
     def _mark(self, points: Array) -> None:
         """Write each crossing's number and sign beside it, in the order of a walk."""
-        found = find_crossings(points)
-        first = np.minimum(found.over_place, found.under_place)
+        crossings = find_crossings(points)
+        first = np.minimum(crossings.over_place, crossings.under_place)
         with self._client.atomic():
             for mark in self._marks:
                 mark.remove()
             self._marks = []
             for number, row in enumerate(np.argsort(first), start=1):
-                sign = "+" if found.over_place[row] < found.under_place[row] else "-"
-                add, at = self._client.scene.add_label, SCALE * found.over_points[row]
+                sign = "+" if crossings.over_place[row] < crossings.under_place[row] else "-"
+                add, at = self._client.scene.add_label, SCALE * crossings.over_points[row]
                 at[2] += 0.15
                 self._marks.append(add(f"/crossings/{number}", f"{number}{sign}", position=at))
 

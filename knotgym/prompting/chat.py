@@ -91,8 +91,8 @@ class ChatConfig:
             json.dumps(self.extra, allow_nan=False)
         except ValueError:
             raise InvalidInput("chat.extra must be JSON, without NaN and infinity") from None
-        if own := self.extra.keys() & _OURS:
-            raise InvalidInput(f"chat.extra can't set {', '.join(sorted(own))}")
+        if taken := self.extra.keys() & _OURS:
+            raise InvalidInput(f"chat.extra can't set {', '.join(sorted(taken))}")
         for marks in self.drafts:
             if not all(marks.partition("...")):
                 raise InvalidInput(f"marks of drafts are such as <think>...</think>, got {marks!r}")
@@ -151,7 +151,7 @@ class Chat:
         parts = urlsplit(config.base_url)
         bypassed = parts.hostname in _LOOPBACK or urllib.request.proxy_bypass(parts.hostname or "")
         proxies = {} if bypassed else urllib.request.getproxies()
-        self._proxy = next((one for one in (parts.scheme, "all") if one in proxies), "")
+        self._proxy = next((kind for kind in (parts.scheme, "all") if kind in proxies), "")
         self._proxy_url = proxies.get(self._proxy)
 
     def ask(self, messages: list[dict[str, Any]]) -> dict[str, Any]:
@@ -185,8 +185,8 @@ class Chat:
                 f"{url} didn't answer in {len(tried)} attempts; the last one failed with:"
                 f" {fault}{detail and ': '}{detail}; --resume continues the run"
             )
-        counts = [[one.tokens[k] for one in tried if one.tokens] for k in (0, 1)]
-        prompt, completion = (None if None in own else sum(filter(None, own)) for own in counts)
+        counts = [[attempt.tokens[k] for attempt in tried if attempt.tokens] for k in (0, 1)]
+        prompt, completion = (None if None in each else sum(filter(None, each)) for each in counts)
         return {
             "text": text,
             "reasoning": reasoning,
@@ -195,7 +195,7 @@ class Chat:
             "finish": finish,
             "prompt_tokens": prompt,
             "completion_tokens": completion,
-            "retries": dict(Counter(one.fault for one in tried[:-1])),
+            "retries": dict(Counter(attempt.fault for attempt in tried[:-1])),
         }
 
     async def _send(self, messages: list[dict[str, Any]]) -> list[_Attempt]:
@@ -253,10 +253,10 @@ class Chat:
                     detail = chat._short(one_line(error.__cause__ or error)) + through
                     tried.append(_Attempt("connection", detail))
                     raise
-                found = chat._outcome(reply.status_code, body.decode(errors="replace"))
-                tried.append(found)
+                attempt = chat._outcome(reply.status_code, body.decode(errors="replace"))
+                tried.append(attempt)
                 reply.headers.pop("content-encoding", None)
-                status = 503 if found.fault and reply.is_success else reply.status_code
+                status = 503 if attempt.fault and reply.is_success else reply.status_code
                 return http.Response(status, headers=reply.headers, content=body)
 
         return Bounded(proxy=self._proxy_url)
@@ -277,7 +277,7 @@ class Chat:
         """Parse the JSON body of a reply."""
         try:
             whole = json.loads(body)
-            choices = [one for one in whole["choices"] if one.get("index", 0) == 0]
+            choices = [choice for choice in whole["choices"] if choice.get("index", 0) == 0]
             choice, usage = (choices or whole["choices"])[0], whole.get("usage") or {}
             message = choice["message"]
             content, refusal = message.get("content"), message.get("refusal")
@@ -292,7 +292,7 @@ class Chat:
             return _Attempt("error", self._short(detail), tokens=tokens)
         text, drafts = _divided(content, self._config.drafts)
         thoughts = (message.get("reasoning_content"), message.get("reasoning"), drafts)
-        reasoning = next((one for one in thoughts if isinstance(one, str) and one), "")
+        reasoning = next((text for text in thoughts if isinstance(text, str) and text), "")
         if content is None and not (finish or reasoning or refusal):
             return _Attempt("malformed")
         fault = "" if text.strip() else "empty"
@@ -321,12 +321,12 @@ def _divided(content: Any, marks: tuple[str, ...]) -> tuple[str, str]:
     """
     drafts = list[str]()
     if isinstance(content, list):
-        parts = [one for one in content if isinstance(one, dict)]
-        said = [one for one in parts if one.get("type") in ("text", "output_text")]
-        drafts += [_text(one) for one in parts if one not in said]
-        content = "".join(_text(one) for one in said)
+        parts = [part for part in content if isinstance(part, dict)]
+        said = [part for part in parts if part.get("type") in ("text", "output_text")]
+        drafts += [_text(part) for part in parts if part not in said]
+        content = "".join(_text(part) for part in said)
     text = content if isinstance(content, str) else ""
-    for opening, _, closing in (one.partition("...") for one in marks):
+    for opening, _, closing in (mark.partition("...") for mark in marks):
         # up to the end where a draft was cut off
         pair = f"{re.escape(opening)}(.*?)(?:{re.escape(closing)}|$)"
         drafts += re.findall(pair, text, re.DOTALL)
@@ -335,12 +335,12 @@ def _divided(content: Any, marks: tuple[str, ...]) -> tuple[str, str]:
         # alone
         draft, closed, after = text.rpartition(closing)
         drafts, text = [*drafts, draft], after if closed else text
-    return text, "\n".join(one for one in drafts if one)
+    return text, "\n".join(draft for draft in drafts if draft)
 
 
 def _text(part: dict[str, Any]) -> str:
-    found = part.get("text", part.get("thinking"))
-    return found if isinstance(found, str) else ""
+    text = part.get("text", part.get("thinking"))
+    return text if isinstance(text, str) else ""
 
 
 def _error(body: str, field: str) -> str:

@@ -100,9 +100,9 @@ def sample_prompt(
 
     (asked,) = next(_read(config, rows[:1], _ask) if rows else _play(config, _ask))[0].arguments
     lines, pictures = list[str](), dict[str, bytes]()
-    for one in asked:
-        lines.append(f"--- {one['role']}")
-        for part in one["content"]:
+    for message in asked:
+        lines.append(f"--- {message['role']}")
+        for part in message["content"]:
             if part["type"] == "text":
                 lines.append(part["text"])
             else:
@@ -176,9 +176,9 @@ def _play(config: PromptConfig, ask: Ask) -> Transcripts:
             episodes[number]["actions"].append(action.tolist())
             episodes[number]["gauss_code"].append(str(code))
         playing = playing[~(outcome.terminated | outcome.truncated)]
-    for one, success in zip(episodes, batch.successes(ids).tolist(), strict=True):
-        one["success"] = success
-        one |= {name: total(one["turns"], name) for name in TOKENS}
+    for episode, success in zip(episodes, batch.successes(ids).tolist(), strict=True):
+        episode["success"] = success
+        episode |= {name: total(episode["turns"], name) for name in TOKENS}
     return episodes
 
 
@@ -191,9 +191,9 @@ def _read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> 
     for number, (row, picture, reply) in enumerate(zip(rows, pictures, replies, strict=True)):
         code, fault = read_code("" if reply["fault"] else reply["text"])
         truth = {name: row[name] for name in _TRUTH}
-        own = {"number": number, "config": _flat(config), "picture": picture.sha256}
+        request = {"number": number, "config": _flat(config), "picture": picture.sha256}
         read = {"read": None if code is None else str(code)}
-        transcripts.append(own | truth | _answer(reply, fault) | read)
+        transcripts.append(request | truth | _answer(reply, fault) | read)
     return transcripts
 
 
@@ -237,7 +237,7 @@ def _replies(
     # a server that rejects all of these rejects everything, for example a setting
     for some in (calls[:_FIRST], calls[_FIRST:]) if turn == 0 else (calls,):
         replies += map(_unpacked, (yield some))
-        if turn == 0 and all(one["rejected"] for one in replies):
+        if turn == 0 and all(reply["rejected"] for reply in replies):
             raise InvalidInput(
                 f"the server rejects all of {len(replies)} requests, the last one with"
                 f" {replies[-1]['rejected']}; once that is mended, --restart begins again"

@@ -126,7 +126,7 @@ def _read_transcripts(path: Path) -> list[dict[str, Any]]:
     with InvalidFile.instead(f"{path} isn't UTF-8 text", UnicodeDecodeError):
         text = path.read_text(encoding="utf-8")
     lines = text.removesuffix("\n").split("\n")
-    return [_checked(one, f"{path}, line {number}") for number, one in enumerate(lines, 1)]
+    return [_checked(row, f"{path}, line {number}") for number, row in enumerate(lines, 1)]
 
 
 def _checked(text: str, where: str) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def identity(
     sources: Any = {}
     for part in (config, *also):
         states = [named for _, _, named in Mark.fields(type(part), part, "states")]
-        pairs = [("shipped" if is_bundled(one) else "own", resolve_states(one)) for one in states]
+        pairs = [("shipped" if is_bundled(s) else "own", resolve_states(s)) for s in states]
         if states:
             sets = by_name([*sources.get("states", {}).items(), *pairs])
             sources = merged(sources, {"states": sets})

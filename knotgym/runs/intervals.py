@@ -102,10 +102,10 @@ class Difference(NamedTuple):
         """
         parts = [(np.asarray(values, np.float64), clusters) for values, clusters in sides]
         mean = float(parts[0][0].mean()) - sum(float(values.mean()) for values, _ in parts[1:])
-        spreads = [_spread(values, own, float(values.var()) / len(values)) for values, own in parts]
-        variance = sum(one[0] for one in spreads)
+        spreads = [_spread(values, by, float(values.var()) / len(values)) for values, by in parts]
+        variance = sum(spread for spread, _ in spreads)
         if not variance:  # nothing varies; each state then counts as one trial
-            most = max(len(np.unique(np.asarray(one))) for _, own in parts for one in own)
+            most = max(len(np.unique(np.asarray(labels))) for _, by in parts for labels in by)
             half, better = _wilson(0, most)[1], (1 + np.sign(mean)) / 2
         else:
             half = _student(max(1, min(freedom for _, freedom in spreads))) * math.sqrt(variance)

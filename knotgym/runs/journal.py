@@ -115,7 +115,7 @@ class Journal(ChainMap[str, Result]):
             InvalidInput: it has other columns than numbers and text.
         """
         arrays = {name: np.asarray(array, order="C") for name, array in result.items()}
-        if wrong := [name for name, one in arrays.items() if one.dtype.kind not in _KINDS]:
+        if wrong := [name for name, array in arrays.items() if array.dtype.kind not in _KINDS]:
             raise InvalidInput(f"a journal keeps numbers and text, not objects: {wrong[0]}")
         part, target = self.path / _PART, self._path_of(key)
         with _opened(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, "wb") as file:
@@ -187,7 +187,7 @@ def has_work(path: Path) -> bool:
 
 
 def _work(path: Path) -> list[Path]:
-    return sorted(one for one in path.iterdir() if one.name.endswith((_SUFFIX, CHECKPOINT)))
+    return sorted(file for file in path.iterdir() if file.name.endswith((_SUFFIX, CHECKPOINT)))
 
 
 def _lock(file: IO[bytes], path: Path, kind: int) -> None:
@@ -214,7 +214,7 @@ def _opened(path: Path, flags: int, mode: str) -> IO[bytes]:
 
 def _write(file: IO[bytes], arrays: Result) -> None:
     """Write arrays as the fields of one record, and the checksum of that."""
-    fields = [(name, one.dtype, one.shape) for name, one in arrays.items()]
+    fields = [(name, array.dtype, array.shape) for name, array in arrays.items()]
     record, whole = np.zeros((), np.dtype(fields, align=True)), io.BytesIO()
     for name, array in arrays.items():
         record[name] = array

@@ -121,7 +121,7 @@ def compute(
             others = sorted({index % shard.of + 1 for index in missing})
             raise _Missing(
                 f"{len(missing)} of {len(calls)} results of {_stage(calls[0])!r} are missing: run"
-                f" shard {', '.join(f'{one}/{shard.of}' for one in others)}"
+                f" shard {', '.join(f'{number}/{shard.of}' for number in others)}"
             )
         results = [memo[call.key] for call in calls]
 
@@ -225,8 +225,8 @@ def staged(
     folder = _staging_folder(out if shard.is_whole else path)
     others = [other for other in _shards(out) if other != path]
     path = folder / "journal" if shard.is_whole else path
-    for one in (folder, path):
-        require_own(one)
+    for place in (folder, path):
+        require_own(place)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # so that nobody plants files in it
     try:
         goes_on, begins = options.resume, options.restart
@@ -239,8 +239,8 @@ def staged(
                 yield folder, journal
             finally:
                 if journal.is_held and journal.is_empty:
-                    for one in (path, folder):
-                        remove(one)
+                    for place in (path, folder):
+                        remove(place)
     finally:
         with suppress(OSError):
             folder.rmdir()  # only if nobody has begun in it
@@ -249,7 +249,7 @@ def staged(
 def _shards(out: Path) -> list[Path]:
     """Return the journals of shards that lie beside the output of a whole run."""
     beside = sorted(out.parent.glob(f"{escape(out.name)}-shard-*-of-*.journal"))
-    return [one for one in beside if one.is_dir()]
+    return [journal for journal in beside if journal.is_dir()]
 
 
 def _staging_folder(out: Path) -> Path:

@@ -2,6 +2,7 @@ import contextlib
 import io
 import json
 import re
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.generate import evaluation as evaluating
 from knotgym.generate.episode_configs import EvaluateConfig
-from knotgym.generate.evaluation import _report, evaluate
+from knotgym.generate.evaluation import _commit, _report, evaluate
 from knotgym.generate.results import show
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions, identity
@@ -196,3 +197,15 @@ def test_the_command_prints_the_matrix(capsys: pytest.CaptureFixture[str]) -> No
     words = ("--nx", "1,2", "--split", "train,test", "--episodes", 1, "--engine", "chain")
     assert knotgym("evaluate", *words, "--set", "task.horizon=2", "--workers", 1) == 0
     assert "success, %" in capsys.readouterr().out
+
+
+def test_only_the_checkout_that_holds_the_package_gives_its_commit(tmp_path: Path) -> None:
+    module = tmp_path / ".venv" / "evaluation.py"
+    module.parent.mkdir()
+    module.touch()
+    git = ("git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b.c")
+    subprocess.run([*git, "init", "-q"], check=True)
+    subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "a checkout around"], check=True)
+    assert _commit(module) == ""
+    subprocess.run([*git, "add", str(module)], check=True)
+    assert len(_commit(module)) == 40

@@ -178,7 +178,7 @@ class BatchedSearch:
 
     def drop(self, key: Any) -> None:
         """Forget a search that is queued or under way."""
-        self._waiting = deque(one for one in self._waiting if one[0] != key)
+        self._waiting = deque(queued for queued in self._waiting if queued[0] != key)
         for job in {job for job in self._jobs.values() if job.key == key}:
             self._leave(job)
 
@@ -216,7 +216,7 @@ class BatchedSearch:
         trials = [begun[rope] for rope in ids.tolist()]
         # all that begin together, as one rope alone takes nearly as long as many
         ropes.restore(np.array([trial.state for trial in trials]), ids)
-        passes = {rope: one.move for rope, one in begun.items() if isinstance(one.move, Pass)}
+        passes = {rope: trial.move for rope, trial in begun.items() if isinstance(trial.move, Pass)}
         if passes:
             follower.begin_passes(np.array([*passes]), [*passes.values()], ropes.points)
         codes = label_many(ropes.points[ids])
@@ -228,7 +228,7 @@ class BatchedSearch:
         # A bead may be at all of its waypoints already. A watched trial ends by a pull at the
         # earliest, as its report holds the pulls.
         arrived = zip(ids.tolist(), trials, follower.arrive(ropes.points, ids), strict=True)
-        over = [rope for rope, one, at in arrived if (at or one.pulls < 1) and not one.watch]
+        over = [rope for rope, trial, at in arrived if (at or trial.pulls < 1) and not trial.watch]
         self._going |= {*ids.tolist()} - {*over}
         return over
 
@@ -267,16 +267,16 @@ class BatchedSearch:
 
     def _reports(self, news: list[int], due: list[int]) -> list[tuple[_Job, Reports | None]]:
         """Reports on ropes with news, by their searches; empty ones for searches that are due."""
-        ropes, found = self.ropes, dict[int, Report]()
+        ropes, told = self.ropes, dict[int, Report]()
         for rope, state in zip(news, ropes.states(news) if news else (), strict=True):
             lane, points = self._lanes[rope], ropes.points[rope].copy()
             facts = lane.pulls, rope not in self._going, lane.lost
             forces = np.array(lane.forces, np.float32).reshape(-1, 3)
             beads = np.array(lane.beads, np.int64)
-            found[rope] = Report(state, points, lane.code, *facts, beads, forces)
+            told[rope] = Report(state, points, lane.code, *facts, beads, forces)
         # each search once, however many of its ropes have news
         woken = [*dict.fromkeys(self._jobs[rope] for rope in (*news, *due))]
         return [
-            (job, (job.pulls, [(k, found[r]) for k, r in enumerate(job.ropes) if r in found]))
+            (job, (job.pulls, [(k, told[r]) for k, r in enumerate(job.ropes) if r in told]))
             for job in woken
         ]

@@ -144,7 +144,7 @@ class Moves:
     def __init__(
         self, rows: Iterable[MoveRow] = (), templates: Iterable[Iterable[int]] = ()
     ) -> None:
-        self.templates = [PassTemplate(*one) for one in templates]
+        self.templates = [PassTemplate(*template) for template in templates]
         self.nodes: list[Diagram] = []
         self.index: dict[Diagram, int] = {}
         self.nx: list[int] = []
@@ -179,7 +179,7 @@ class Moves:
             places += [(ALONG, bead, beads) for bead in along for beads in ends]
         first = sum(len(Moves.grid(fewer)) for fewer in range(nx))
         made = [PassTemplate(*place, side) for place in places for side in (1, -1)]
-        return {one: first + k for k, one in enumerate(made)}
+        return {template: first + k for k, template in enumerate(made)}
 
     @classmethod
     def counted(cls, counts: Mapping[tuple[Diagram, int, Diagram | None], int]) -> Moves:
@@ -193,7 +193,7 @@ class Moves:
                 after, None for any not of interest.
         """
         most = max((before.nx for before, _, _ in counts), default=0)
-        templates = [one for nx in range(most + 1) for one in cls.grid(nx)]
+        templates = [template for nx in range(most + 1) for template in cls.grid(nx)]
         tried, seen = Counter[Any](), Counter[Any]()
         for (before, number, after), count in counts.items():
             for k in (k for k in range(IMAGES) if before.image(k) == before):
@@ -221,8 +221,8 @@ class Moves:
         # Symmetries that leave `shown` as it is leave all values as they are. So one image of each
         # class is computed, and the others are read off. Every goal has such a symmetry,
         # because a reflection changes only chirality.
-        own = [k for k in range(IMAGES) if (shown == shown[self._image[k]]).all()]
-        first = [k for k in range(IMAGES) if k == min(k ^ one for one in own)]
+        kept = [k for k in range(IMAGES) if (shown == shown[self._image[k]]).all()]
+        first = [k for k in range(IMAGES) if k == min(k ^ symmetry for symmetry in kept)]
         values = shown
         for _ in range(sweeps if len(self.start) else 0):
             new = shown.copy()
@@ -233,7 +233,7 @@ class Moves:
                 sums = np.add.reduceat(chance * values[self.after[k]], self.start)
                 np.maximum.at(new, self.before[k][self.start], sums)
             # each class of images has one value: the largest that any of its members was given
-            new = np.max([new[self._image[one]] for one in own], axis=0)
+            new = np.max([new[self._image[symmetry]] for symmetry in kept], axis=0)
             # Values only rise from sweep to sweep and depend on nothing else, so equal ones stay
             # for good.
             if (new == values).all():

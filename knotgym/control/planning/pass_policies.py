@@ -65,11 +65,11 @@ class NoisyPlayer(Player):
         return cls(replace(config, noise=0.0), batch)
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
-        own, inner = zip(*(rng.spawn(2) for rng in rngs), strict=True)
+        drawing, inner = zip(*(rng.spawn(2) for rng in rngs), strict=True)
         self._inner.begin(ids, inner)
         self._drawn[ids] = -1
         beads = self._batch.simulation.points.shape[1]
-        for index, rng in zip(ids.tolist(), own, strict=True):
+        for index, rng in zip(ids.tolist(), drawing, strict=True):
             self._rngs[index] = rng
             # The first draws of an episode: whether it wanders, and where to.
             self._in_prefix[index] = rng.random() < _PREFIXED
@@ -120,9 +120,9 @@ class PlayPlayer(PassPlayer):
         self._sides = [batch.side_codes(side) for side in ("start", "goal")]
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
-        own, inner = zip(*(rng.spawn(2) for rng in rngs), strict=True)
+        drawing, inner = zip(*(rng.spawn(2) for rng in rngs), strict=True)
         super().begin(ids, inner)
-        self._rngs |= dict(zip(ids.tolist(), own, strict=True))
+        self._rngs |= dict(zip(ids.tolist(), drawing, strict=True))
 
     def _settle(self, ids: Ids) -> NDArray[np.bool_]:
         """Draw new goals for ropes that show theirs; none lies still."""
@@ -133,12 +133,12 @@ class PlayPlayer(PassPlayer):
         self.replan(np.array(reached, np.int64))
         return np.zeros(len(ids), bool)
 
-    def _decided(self, index: int, found: PassPlan | _Simplest) -> None:
+    def _decided(self, index: int, plan: PassPlan | _Simplest) -> None:
         """Go on after a search."""
-        if isinstance(found, PassPlan):
-            super()._decided(index, found)
+        if isinstance(plan, PassPlan):
+            super()._decided(index, plan)
         else:
-            self.lead(index, found.move)
+            self.lead(index, plan.move)
             self._draw_goal(index)
 
     def _give_up(self, index: int) -> None:
@@ -195,23 +195,24 @@ class MixedPlayer(Player):
             self._chosen[index] = rng.choice(len(self._players), p=self._shares)
             self.names[index] = MIXED[self._chosen[index]]
         for number, player in enumerate(self._players):
-            own = self._chosen[ids] == number
-            if own.any():
-                player.begin(ids[own], [rngs[row] for row in np.flatnonzero(own).tolist()])
+            played = self._chosen[ids] == number
+            if played.any():
+                player.begin(ids[played], [rngs[row] for row in np.flatnonzero(played).tolist()])
 
     def act(self, ids: Ids) -> Pulls:
-        own = [ids[self._chosen[ids] == number] for number in range(len(self._players))]
-        acting = zip(self._players, own, strict=True)
+        lanes = [ids[self._chosen[ids] == number] for number in range(len(self._players))]
+        acting = zip(self._players, lanes, strict=True)
         return _together([player.act(some) for player, some in acting if len(some)])
 
 
 def _together(parts: list[Pulls]) -> Pulls:
     """Join pulls in different lanes."""
     macros = [
-        np.zeros((len(one.ids), 4), np.int64) if one.macros is None else one.macros for one in parts
+        np.zeros((len(part.ids), 4), np.int64) if part.macros is None else part.macros
+        for part in parts
     ]
-    ids = np.concatenate([one.ids for one in parts])
+    ids = np.concatenate([part.ids for part in parts])
     # lanes in increasing order, as `rollouts` checks
     order = np.argsort(ids, kind="stable")
-    beads, forces = (np.concatenate([one[k] for one in parts])[order] for k in (1, 2))
+    beads, forces = (np.concatenate([part[k] for part in parts])[order] for k in (1, 2))
     return Pulls(ids[order], beads, forces, np.concatenate(macros)[order])

@@ -115,19 +115,19 @@ class PassValues:
 
     def _ordered(self, goal: GaussCode, diagram: Diagram, image: int) -> list[tuple[int, float]]:
         (reach, first), moves = self._of(goal), self.moves
-        own, outcomes = moves.of(diagram.image(image))
-        if own.start == own.stop:
+        begun, outcomes = moves.of(diagram.image(image))
+        if begun.start == begun.stop:
             return []
         worth = self._chance[outcomes] * first[moves.after[image][outcomes]]
         worth = np.where(moves.nearer(reach, image, outcomes), worth, 0.0)
         move = np.zeros(len(worth), np.int64)  # of each outcome
-        move[moves.start[own][1:] - outcomes.start] = 1
-        sums = np.zeros(own.stop - own.start)
+        move[moves.start[begun][1:] - outcomes.start] = 1
+        sums = np.zeros(begun.stop - begun.start)
         np.add.at(sums, move.cumsum(), worth)
         # rounded, so that the order doesn't depend on how a machine adds
         sums = np.round(sums, 6)
         best = [k for k in np.argsort(-sums, kind="stable").tolist() if sums[k] > 0]
-        return [(int(moves.number[own.start + k]), float(sums[k])) for k in best]
+        return [(int(moves.number[begun.start + k]), float(sums[k])) for k in best]
 
     def _of(self, goal: GaussCode) -> tuple[Array, Array]:
         """By node, the chance to reach the goal; and that if only passes that raise it count."""
@@ -212,23 +212,23 @@ class PassSearch:
             self.spent += landing.pulls
             tried = TriedPass(points, move, landing)
             self.tried.append(tried)
-            remaining, found = left - landing.pulls, list[TriedPass]()
+            remaining, passes = left - landing.pulls, list[TriedPass]()
             # the goal may be shown before the pass is over, which then ends there
             if landing.code.matches(goal) and not landing.lost:
-                found = [tried]
+                passes = [tried]
             # Only diagrams nearer to the goal are followed, so a search never comes back to one.
             # All that can be done from this landing comes before the next pass from here.
             elif remaining > 0 and not landing.lost and landing.code != here.code:
                 (there,) = Sight.of(landing.points[None])
                 if self.values.reach(goal, there.diagram) > chance:
                     rest = yield from self._passes(landing.state, landing.points, there, remaining)
-                    found = [tried, *rest] if rest else []
-            if found and act_out is not None:
+                    passes = [tried, *rest] if rest else []
+            if passes and act_out is not None:
                 landed, pulls = act_out(move)
                 self.spent += pulls
                 diagram = Sight.of(landed[None])[0].diagram
                 if not diagram.code.matches(goal) and self.values.reach(goal, diagram) <= chance:
                     continue
-            if found:
-                return found
+            if passes:
+                return passes
         return []

@@ -94,10 +94,10 @@ class LaneSearches:
 
     def tick(self) -> None:
         """Simulate a pull in every search that is under way."""
-        for index, found in self.search.tick():
+        for index, result in self.search.tick():
             self.thinking[index] = False
-            self.planned[index] += found.spent
-            self._callbacks[index](index, found)
+            self.planned[index] += result.spent
+            self._callbacks[index](index, result)
 
     def in_chain(self, simulation: Simulation, ids: Ids) -> tuple[Array, Array]:
         """States in the chain engine, and points (n, beads, 3), of ropes of any engine.
@@ -115,12 +115,12 @@ class LaneSearches:
 
     def act_out(self, state: Array, goal: GaussCode, move: Pass) -> tuple[Array, int]:
         """Carry a pass out in the episodes' engine, from a state of it; see `PassSearch`."""
-        check, follower, one = self.check, self._follower, np.zeros(1, np.int64)
+        check, follower, rope = self.check, self._follower, np.zeros(1, np.int64)
         check.restore(state[None])
-        follower.begin_passes(one, [move], check.points)
+        follower.begin_passes(rope, [move], check.points)
         pulls = 0
-        while pulls < LONGEST and not follower.arrive(check.points, one)[0]:
-            forces = follower.forces(check.points, one).astype(np.float64)
+        while pulls < LONGEST and not follower.arrive(check.points, rope)[0]:
+            forces = follower.forces(check.points, rope).astype(np.float64)
             stable = check.step(follower.beads, forces * check.max_force)[0]
             pulls += 1
             if not stable or label(check.points[0]).matches(goal):
@@ -173,8 +173,8 @@ class PullPlayer(Player):
             from knotgym.control.planning.pulls import PullSearch
 
             # the budget left is that of the episode, whatever its earlier plans spent
-            own = self._rngs[index], int(batch.hold[index]), batch.tow_bound(index)
-            search = PullSearch(goal, self._values, config, *own)
+            settings = self._rngs[index], int(batch.hold[index]), batch.tow_bound(index)
+            search = PullSearch(goal, self._values, config, *settings)
             state = batch.simulation.states([index])[0]
             left = int(batch.task.horizon - batch.steps[index])
             budget = int(config.budget - self._spent[index])
@@ -279,10 +279,10 @@ class PassPlayer(Player):
         self._follower.release(ids[shown])
         return shown
 
-    def _decided(self, index: int, found: PassPlan) -> None:
+    def _decided(self, index: int, plan: PassPlan) -> None:
         """Go on after a search."""
-        if found.passes:
-            self._follow(index, found.passes)
+        if plan.passes:
+            self._follow(index, plan.passes)
         else:
             self._give_up(index)
 
@@ -312,10 +312,10 @@ class PassPlayer(Player):
         """Begin searches for the next passes of some lanes."""
         simulation = self.batch.simulation
         states, points = self.searches.in_chain(simulation, ids) if len(ids) else ((), ())
-        own = simulation.states(ids) if len(ids) else ()
+        real_states = simulation.states(ids) if len(ids) else ()
         # where the chain engine counts, acting a pass out would repeat what the search did
         is_chain = isinstance(simulation, ChainSimulation)
-        for index, state, rope, real in zip(ids.tolist(), states, points, own, strict=True):
+        for index, state, rope, real in zip(ids.tolist(), states, points, real_states, strict=True):
             goal, bound = self.goals[index], self.batch.tow_bound(index, _TOWING)
             act_out = None if is_chain else partial(self.searches.act_out, real, goal)
             search = PassSearch(self._values, goal, self._config, bound, act_out)

@@ -114,9 +114,9 @@ class Guide:
         """
         if rng.random() < _GUIDED:
             (sight,) = Sight.of(points[None])
-            found = [*islice(self._values.passes(self._goal, sight), _BEST)]
-            if found:
-                move, _ = found[_drawn_index(np.array([worth for _, worth in found]), rng)]
+            moves = [*islice(self._values.passes(self._goal, sight), _BEST)]
+            if moves:
+                move, _ = moves[_drawn_index(np.array([worth for _, worth in moves]), rng)]
                 return MacroAction.passing(points, move, rng)
         return MacroAction.drawn(points, rng)
 
@@ -224,24 +224,24 @@ class _Pool:
             self.met[code] = _Met(number, distance, _STRIDE * hops)
             self._lengths.append(0.0)
             self._weights.append(0.0)
-        own = self.met[code]
-        own.nodes.append(node)
-        if len(own.nodes) > _KEPT:
-            own.nodes.remove(max(own.nodes, key=lambda one: one.steps + _TRY_COST * one.tries))
+        met = self.met[code]
+        met.nodes.append(node)
+        if len(met.nodes) > _KEPT:
+            met.nodes.remove(max(met.nodes, key=lambda node: node.steps + _TRY_COST * node.tries))
         # computed again, since the state dropped may have been the earliest
-        self._lengths[own.number] = min(one.steps for one in own.nodes) + own.left
-        self._weigh(own)
+        self._lengths[met.number] = min(node.steps for node in met.nodes) + met.left
+        self._weigh(met)
 
-    def _weigh(self, own: _Met) -> None:
+    def _weigh(self, met: _Met) -> None:
         """Set a code's weight again."""
         # It falls with the distance to the goal (greed), with how often it was tried (weariness),
         # and with the estimated length of an episode through it (patience). Lengths are compared to
         # the shortest one, which keeps the exponentials from underflowing.
         # Python's powers and exponentials, because NumPy's round by processor.
-        self._weights[own.number] = (
-            (1 + own.distance) ** -_GREED
-            / (1 + own.tries / _WEARINESS)
-            * math.exp((self._shortest - self._lengths[own.number]) / _PATIENCE)
+        self._weights[met.number] = (
+            (1 + met.distance) ** -_GREED
+            / (1 + met.tries / _WEARINESS)
+            * math.exp((self._shortest - self._lengths[met.number]) / _PATIENCE)
         )
 
     def choose(self, rng: np.random.Generator) -> _Node:
@@ -249,20 +249,20 @@ class _Pool:
         every = [*self.met.values()]
         if (shortest := min(self._lengths)) != self._shortest:
             self._shortest = shortest
-            for one in every:
-                self._weigh(one)
-        own = every[_drawn_index(np.array(self._weights), rng)]
+            for met in every:
+                self._weigh(met)
+        met = every[_drawn_index(np.array(self._weights), rng)]
         # among the code's states: early ones, and ones tried less often
-        fresh = [math.exp(-one.steps / _PATIENCE) / (1 + one.tries) for one in own.nodes]
-        node = own.nodes[_drawn_index(np.array(fresh), rng)]
-        node.tries, own.tries = node.tries + 1, own.tries + 1
-        self._weigh(own)
+        fresh = [math.exp(-node.steps / _PATIENCE) / (1 + node.tries) for node in met.nodes]
+        node = met.nodes[_drawn_index(np.array(fresh), rng)]
+        node.tries, met.tries = node.tries + 1, met.tries + 1
+        self._weigh(met)
         return node
 
     def nearest(self) -> _Node:
         """The state nearest to the goal; of these the earliest."""
-        every = (node for own in self.met.values() for node in own.nodes)
-        return min(every, key=lambda one: (self._guide.distance(one.code), one.steps))
+        every = (node for met in self.met.values() for node in met.nodes)
+        return min(every, key=lambda node: (self._guide.distance(node.code), node.steps))
 
 
 @dataclass(eq=False)
@@ -320,8 +320,8 @@ class PullSearch:
             spent += len(nodes)
             if solved:
                 return _plan_to(nodes[-1], True, spent)
-            nearest = min(nodes, key=lambda one: (far(one.code), one.steps), default=here)
-            best = min(best, nearest, key=lambda one: (far(one.code), one.steps))
+            nearest = min(nodes, key=lambda node: (far(node.code), node.steps), default=here)
+            best = min(best, nearest, key=lambda node: (far(node.code), node.steps))
             nearer = far(nearest.code) < far(here.code)
             here, failures = (nearest, 0) if nearer else (here, failures + 1)
             if failures == _FAILURES or here.steps + _LEAST_STRIDE > steps:
@@ -431,7 +431,7 @@ def _plan_to(node: _Node, solved: bool, spent: int) -> PullPlan:
     line: list[_Node] = [node]
     while line[-1].before is not None:
         line.append(line[-1].before)
-    pulls = [one.beads for one in line[::-1]], [one.forces for one in line[::-1]]
+    pulls = [node.beads for node in line[::-1]], [node.forces for node in line[::-1]]
     return PullPlan(np.concatenate(pulls[0]), np.concatenate(pulls[1]), solved, spent)
 
 

@@ -113,7 +113,7 @@ def _seen(code: GaussCode, dart: int) -> Diagram:
 @lru_cache(maxsize=200_000)
 def _images(diagram: Diagram) -> tuple[Diagram, ...]:
     edges, members = max(1, 2 * diagram.nx), images(diagram.code)
-    found = []
+    diagrams = []
     for number, code in enumerate(members):
         outer: Sequence[int] = diagram.outer
         # visit k becomes visit edges - 1 - k, and edges are walked backwards
@@ -122,8 +122,8 @@ def _images(diagram: Diagram) -> tuple[Diagram, ...]:
         if number & Symmetry.REFLECT:
             outer = [dart ^ 1 for dart in outer]
         # sorted, as a face is a cycle that may begin anywhere
-        found.append(Diagram(code, tuple(sorted(outer))))
-    return tuple(found)
+        diagrams.append(Diagram(code, tuple(sorted(outer))))
+    return tuple(diagrams)
 
 
 def _order(diagram: Diagram) -> tuple[tuple[int, ...], str, tuple[int, ...]]:
@@ -142,16 +142,16 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
     for rope in range(ropes):
         # the crossings again: `label_many` keeps codes only, and places are needed of few ropes
         _, _, table = scan(points[rope])
-        found = 0
+        visits = 0
         for k in range(len(table)):
             for column in (CROSSING.over_place, CROSSING.under_place):
                 # inserted in order: `np.sort` of so few would take seconds to compile
-                place, at = table[k, column], found
+                place, at = table[k, column], visits
                 while at > 0 and cuts[rope, at - 1] > place:
                     cuts[rope, at] = cuts[rope, at - 1]
                     at -= 1
                 cuts[rope, at] = place
-                found += 1
+                visits += 1
         # The vertex farthest to the right lies on the outer face. Where the curve turns left there,
         # it goes up, and has the outside on its right.
         vertex, visited = 0, 0
@@ -159,7 +159,7 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
             if points[rope, k, 0] > points[rope, vertex, 0]:
                 vertex = k
         # how many visits come before the vertex, so that the edge that it lies on is known
-        while visited < found and cuts[rope, visited] < vertex:
+        while visited < visits and cuts[rope, visited] < vertex:
             visited += 1
         before, after = (vertex - 1) % beads, (vertex + 1) % beads
         ax = points[rope, vertex, 0] - points[rope, before, 0]
@@ -167,6 +167,6 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
         bx = points[rope, after, 0] - points[rope, vertex, 0]
         by = points[rope, after, 1] - points[rope, vertex, 1]
         # edge k runs from visit k to the next, and the last one over the base bead
-        edge = (visited - 1) % found if found else 0
+        edge = (visited - 1) % visits if visits else 0
         darts[rope] = 2 * edge + (1 if ax * by - ay * bx > 0 else 0)
     return cuts, darts
