@@ -11,7 +11,6 @@ number of crossings and split --count are kept, codes as evenly as there are sta
 train and test share.
 """
 
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cyclopts import run
 from numpy.typing import NDArray
 
 from knotgym.common import Array, Stream, Table
@@ -29,17 +29,8 @@ from knotgym.states import STATE_SPLITS, Spectra, States, pairs_within, read_sta
 from knotgym.topology import GaussCode, label
 
 LIVES = 8  # of each drawn rope, each with other pulls
-PULLS = replace(
-    GenerateConfig().play,
-    settle=0,
-    random=2,
-    opening=0,
-    rounds=1,
-    scripted=0,
-    spreading=8,
-    first=4,
-    every=2,
-)
+_PHASES = {"settle": 0, "random": 2, "opening": 0, "rounds": 1, "scripted": 0, "spreading": 8}
+PULLS = replace(GenerateConfig().play, **_PHASES, first=4, every=2)
 
 
 def laid(states: States) -> tuple[Array, list[int]]:
@@ -119,14 +110,16 @@ def told(table: Mapping[str, NDArray[Any]], points: Array) -> None:
         )
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("sources", nargs="+", type=Path)
-    parser.add_argument("--count", type=int, default=256)
-    parser.add_argument("--out", type=Path, default=Path("bench.h5"))
-    given = parser.parse_args()
+def main(*sources: Path, count: int = 256, out: Path = Path("bench.h5")) -> None:
+    """Choose states of generated sets, and write their vertices.
+
+    Args:
+        sources: folders or files of the sets.
+        count: states of each number of crossings and split.
+        out: file to write.
+    """
     parts, points = list[dict[str, NDArray[Any]]](), list[Array]()
-    for source in given.sources:
+    for source in sources:
         states = pulled(read_states(resolve_states(source), images=False))
         as_laid, kept = laid(states)
         rows = distinct(as_laid, kept, points)
@@ -142,12 +135,12 @@ def main() -> None:
         parts.append(columns)
         points.append(as_laid[rows])
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    rows = chosen(whole["gauss_code_chiral"], whole["split"], given.count)
+    rows = chosen(whole["gauss_code_chiral"], whole["split"], count)
     table = {name: column[rows] for name, column in whole.items()}
     told(table, np.concatenate(points)[rows])
-    States.write_vertices(given.out, table)
-    print(f"{given.out}: {given.out.stat().st_size / 1e6:.2f} MB")
+    States.write_vertices(out, table)
+    print(f"{out}: {out.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

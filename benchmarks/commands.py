@@ -142,10 +142,8 @@ class Fork:
         if self._status is None:
             ended, status, usage = os.wait4(self.id, os.WNOHANG)
             if ended:
-                self._status, self._megabytes = (
-                    os.waitstatus_to_exitcode(status),
-                    usage.ru_maxrss / 1024,
-                )
+                self._status = os.waitstatus_to_exitcode(status)
+                self._megabytes = usage.ru_maxrss / 1024
         return self._status is not None
 
     def outcome(self, limit: float = 600) -> Outcome:

@@ -40,14 +40,7 @@ NUMBERS = "0 1 2 3 -1 07 1.5 1e3 nan inf 99999999999999999999 ٣ 1,1 0-2 2-0 0-9
 TEXTS = ["", " ", "tie", "expert", "random", "x" * 5000, "a\nb", "\x1b[2J", "é", "../x", "--nx"]
 TEXTS += ["os:system", "json:loads", "none", "nx = 1", "nx / 0 > 1", "1/3", "train=0.5,test=0.5"]
 TEXTS += ["knotgym/a/b-v0", "a-v0", "minari", "huggingface", "compact", "ogbench", "curves"]
-SETTINGS = [
-    "task.horizon=5",
-    "task.nx=99",
-    "policy.noise=2",
-    "run.shard=4/3",
-    "task.views=x",
-    "a=b",
-]
+SETTINGS = "task.horizon=5 task.nx=99 policy.noise=2 run.shard=4/3 task.views=x a=b".split()
 SETTINGS += ["task.image_size=1000000", "x", "=", "task=3", "task.horizon=1e9"]
 FILES = "missing empty noise link pipe folder states.h5 cut.h5 episodes.h5 minari curve.csv".split()
 FILES += ["table.json", "deep/er/out", "set", "set/states.h5", "x" * 300, ".", "..", ""]
@@ -130,12 +123,13 @@ def sandbox(folder: Path) -> None:
 
 def listing(folder: Path) -> Mapping[str, tuple[int, int]]:
     """Return the size and time of change of everything in a folder."""
-    found = {}
-    for path in sorted(folder.rglob("*")):
-        is_data = not path.is_dir() and "__pycache__" not in path.parts
-        if is_data:
-            found[str(path.relative_to(folder))] = (path.lstat().st_size, path.lstat().st_mtime_ns)
-    return found
+    paths = [path for path in folder.rglob("*") if not path.is_dir()]
+    stats = {str(path.relative_to(folder)): path.lstat() for path in paths}
+    return {
+        name: (stat.st_size, stat.st_mtime_ns)
+        for name, stat in stats.items()
+        if "__pycache__" not in name
+    }
 
 
 def faults_of(outcome: Outcome, memory: float, changed: list[str]) -> list[str]:

@@ -15,11 +15,11 @@ import json
 import subprocess
 import sys
 import tempfile
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import h5py
 import numpy as np
+from cyclopts import run
 
 SEED = "3"
 CHAIN = ("--engine", "chain")
@@ -77,30 +77,34 @@ def of_parquet(path: Path) -> dict[str, str]:
     }
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("--kinds", default=",".join(RUNS), help="of %(default)s")
-    parser.add_argument("--out", type=Path, help="file to write")
-    parser.add_argument("--compare", type=Path, help="what an earlier run wrote to --out")
-    args = parser.parse_args()
-    found, kinds = dict[str, str](), args.kinds.split(",")
+def main(
+    *, kinds: str = ",".join(RUNS), out: Path | None = None, compare: Path | None = None
+) -> None:
+    """Run the commands of RUNS and print the digest of all that they stored.
+
+    Args:
+        kinds: of RUNS.
+        out: file to write.
+        compare: what an earlier run wrote to --out.
+    """
+    found = dict[str, str]()
     with tempfile.TemporaryDirectory() as room:
-        for kind in kinds:
+        for kind in kinds.split(","):
             folder = Path(room) / kind
             words = [*RUNS[kind], "--seed", SEED, "--quiet", "--out", str(folder)]
             subprocess.run([sys.executable, "-m", "knotgym", *words], check=True)
             found.update({f"{kind}/{name}": value for name, value in digests(folder).items()})
-    if args.out is not None:
-        args.out.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8")
+    if out is not None:
+        out.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8")
     total = hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
     print(f"{len(found)} datasets, columns and pictures; all together {total}")
-    if args.compare is not None:
-        before = json.loads(args.compare.read_text(encoding="utf-8"))
-        before = {k: value for k, value in before.items() if k.partition("/")[0] in kinds}
+    if compare is not None:
+        before = json.loads(compare.read_text(encoding="utf-8"))
+        before = {k: v for k, v in before.items() if k.partition("/")[0] in kinds.split(",")}
         names = [name for name in sorted({*before, *found}) if before.get(name) != found.get(name)]
         print("\n".join(f"differs: {name}" for name in names) or "nothing differs")
         sys.exit(1 if names else 0)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

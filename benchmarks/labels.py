@@ -339,14 +339,11 @@ def main() -> None:
     while told["chunks"] * args.chunk < args.frames:
         rng = np.random.default_rng([args.seed, told["chunks"]])
         for way, points in ropes.chunk(rng, args.chunk):
-            cuts = None
-            if args.pieces:
-                cuts = [cut_of(points.shape[1], args.pieces, rng) for _ in points]
+            most = args.pieces
+            cuts = [cut_of(points.shape[1], most, rng) for _ in points] if most else None
             same, exact = compare(points, cuts)
             for row, (code, margin) in exact.items():
-                ours = (
-                    label(points[row]).chiral if cuts is None else ours_of(points[row], cuts[row])
-                )
+                ours = ours_of(points[row], cuts[row]) if cuts else label(points[row]).chiral
                 same[row] = code == ours
                 counts[f"{way}: beyond float64"] += 0 < margin <= 1
                 counts[f"{way}: unclear"] += not margin

@@ -10,7 +10,6 @@ pictures, of `near` all pairs of a set. Prints milliseconds an item, here and th
 times as many items a CPU second this checkout makes: the median of the rounds.
 """
 
-import argparse
 import os
 import resource
 import subprocess
@@ -18,6 +17,8 @@ import tempfile
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
+
+from cyclopts import run
 
 ROOT = Path(__file__).parents[1]
 KNOTGYM = "-m knotgym"
@@ -83,20 +84,22 @@ def seconds(checkout: Path, words: str | list[str], n: int) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("other", type=Path, help="checkout to compare with")
-    parser.add_argument("work", nargs="*", default=[*WORK], help="rows of WORK")
-    parser.add_argument("--rounds", type=int, default=2)
-    given = parser.parse_args()
-    for name in given.work:
+def main(other: Path, *work: str, rounds: int = 2) -> None:
+    """Print what an item costs in this checkout and in another.
+
+    Args:
+        other: checkout to compare with.
+        work: rows of WORK; all by default.
+        rounds: of each row.
+    """
+    for name in work or WORK:
         words, small, large = WORK[name]
         costs = [
             [
                 1000 * (seconds(one, words, large) - seconds(one, words, small)) / (large - small)
-                for one in (ROOT, given.other.resolve())
+                for one in (ROOT, other.resolve())
             ]
-            for _ in range(given.rounds)
+            for _ in range(rounds)
         ]
         here, there = (median(column) for column in zip(*costs, strict=True))
         ratio = median(theirs / own for own, theirs in costs)
@@ -104,4 +107,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

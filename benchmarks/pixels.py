@@ -10,7 +10,6 @@ default. Files are written to ROOM.
 Prints windows a CPU second and a second, and both relative to HDF5.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from importlib import import_module
@@ -19,6 +18,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from cyclopts import run
 from numpy.typing import NDArray
 
 from knotgym.loaders import Sequences
@@ -64,15 +64,17 @@ def sources(windows: Sequences, room: Path) -> dict[str, Callable[[Any], Picture
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("dataset", help="episodes: an id, a folder or a file")
-    parser.add_argument("room", type=Path, help="folder for the files")
-    given = parser.parse_args()
-    given.room.mkdir(parents=True, exist_ok=True)
-    windows, rates = Sequences(given.dataset, WINDOW), dict[str, tuple[float, float]]()
+def main(dataset: str, room: Path) -> None:
+    """Read windows of pictures from each source, and print how many a second.
+
+    Args:
+        dataset: episodes: an id, a folder or a file.
+        room: folder for the files.
+    """
+    room.mkdir(parents=True, exist_ok=True)
+    windows, rates = Sequences(dataset, WINDOW), dict[str, tuple[float, float]]()
     batches = np.random.default_rng(0).choice(windows.starts, (BATCHES, BATCH))
-    for name, read in sources(windows, given.room).items():
+    for name, read in sources(windows, room).items():
         right = read(batches[0])  # what is opened or compiled at first isn't measured
         cpu, wall = time.process_time(), time.perf_counter()
         for starts in batches:
@@ -87,4 +89,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

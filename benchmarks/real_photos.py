@@ -72,9 +72,7 @@ def drawn(name: str, count: int) -> Iterator[Known]:
     rows = np.flatnonzero(states.split == "test")
     while count:
         shot = photograph(states.points[rng.choice(rows)], 256, rng, config=config)
-        if shot is None or not (
-            least <= len(shot.ropes) <= most and least_angle(shot) <= kind.flat
-        ):
+        if shot is None or not least <= len(shot.ropes) <= most or least_angle(shot) > kind.flat:
             continue
         picture, code = shot.image, None if kind.bare else shot.code
         if code and shot.others:  # pieces of other ropes, which a person sees as well
@@ -94,14 +92,10 @@ def drawn(name: str, count: int) -> Iterator[Known]:
 def least_angle(shot: Any) -> float:
     """Return the smallest angle at a crossing, degrees; 90 without crossings."""
     lines = shot.ropes or [shot.line * (1, 1, shot.look.scale)]
-    found, points = (
-        find_ropes_crossings([one * (1, -1, 1) for one in lines], not shot.ropes),
-        np.concatenate(lines),
-    )
-    ways = [
-        points[(place.astype(int) + 1) % len(points)] - points[place.astype(int)]
-        for place in (found.over_place, found.under_place)
-    ]
+    found = find_ropes_crossings([line * (1, -1, 1) for line in lines], not shot.ropes)
+    points = np.concatenate(lines)
+    beads = [place.astype(int) for place in (found.over_place, found.under_place)]
+    ways = [points[(bead + 1) % len(points)] - points[bead] for bead in beads]
     a, b = (np.arctan2(*way[:, 1::-1].T) for way in ways)
     off = np.abs(a - b) % np.pi
     return float(np.degrees(np.minimum(off, np.pi - off).min(initial=np.pi / 2)))
@@ -200,10 +194,8 @@ def main() -> None:
         tables["real"] = real(args.folder, args.labels)
     for kind, photos in tables.items():
         counts = score(photos, args.weights, args.misread)
-        print(
-            f"{kind:16} " + ", ".join(f"{name} {count}" for name, count in counts.items()),
-            flush=True,
-        )
+        told = ", ".join(f"{name} {count}" for name, count in counts.items())
+        print(f"{kind:16} {told}", flush=True)
 
 
 if __name__ == "__main__":

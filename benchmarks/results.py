@@ -18,7 +18,6 @@ import json
 import re
 import subprocess
 import sys
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations, product
 from pathlib import Path
@@ -26,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from board_rows import UNLEARNED, Refused, Row, require_apart, rows_of
+from cyclopts import run
 from numpy.typing import NDArray
 
 from knotgym.common import KnotgymError, atomic_write, one_line
@@ -43,30 +43,18 @@ CLONERS = ("BC", "DiscreteBC", "GCBC", "NextBC", "d3rlpy recipe", "torch recipe"
 OURS = re.compile(r"random|random-macro|expert|matching(-pixels)?|recipe-\w+|[a-z]+-nx\d[-\w]+")
 # rows of README's table: how they are called, what they see, their protocol, and whose they may be
 Fits = Callable[[str, str], bool]
-SHOWN: tuple[tuple[str, str, str, Fits], ...] = (
-    ("random pulls", "nothing", "code", lambda name, tier: name == "random"),
-    ("random macro-actions", "nothing", "code", lambda name, tier: name == "random macro-actions"),
-    (
-        "`matching`, follows a shape",
-        "vertices",
-        "goal-state",
-        lambda name, tier: name == "matching",
-    ),
-    ("cloning:", "vertices", "goal-state", lambda name, tier: name in CLONERS),
-    (
-        "best of demonstrations (`noisy`, recipes):",
-        "its code",
-        "code",
+SHOWN: dict[str, tuple[str, str, Fits]] = {
+    "random pulls": ("nothing", "code", lambda name, _: name == "random"),
+    "random macro-actions": ("nothing", "code", lambda name, _: name == "random macro-actions"),
+    "`matching`, follows a shape": ("vertices", "goal-state", lambda name, _: name == "matching"),
+    "cloning:": ("vertices", "goal-state", lambda name, _: name in CLONERS),
+    "best of demonstrations (`noisy`, recipes):": (
+        *("its code", "code"),
         lambda name, tier: "noisy" in tier or name.endswith("recipe"),
     ),
-    (
-        "best of random macro-actions (`wander`):",
-        "its code",
-        "code",
-        lambda name, tier: "wander" in tier,
-    ),
-    ("`expert`, plans in the simulator", "its code", "code", lambda name, tier: name == "expert"),
-)
+    "best of random macro-actions (`wander`):": ("its code", "code", lambda _, t: "wander" in t),
+    "`expert`, plans in the simulator": ("its code", "code", lambda name, _: name == "expert"),
+}
 MOST = 16  # states named of each cell
 SEVERAL = 3  # seeds that are compared, at least
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#999999")
@@ -109,10 +97,9 @@ def boards(rows: Sequence[Row]) -> Iterator[str]:
             shown = []
             for cell, found in mine.items():
                 rate, low, high = over_seeds(found) if found else (0.0, 0.0, 0.0)
-                interval = (
-                    f"({100 * low:.0f} to {100 * high:.0f}{share(rate, cell, protocol, own)})"
-                )
-                shown.append(f"**{100 * rate:.1f}** {interval}" if found else "")
+                of_way = share(rate, cell, protocol, own)
+                text = f"**{100 * rate:.1f}** ({100 * low:.0f} to {100 * high:.0f}{of_way})"
+                shown.append(text if found else "")
             sizes = sorted({len(one.success) for found in mine.values() for one in found})
             several = max(map(len, mine.values()))
             named = learner + f", {tier}" * bool(tier)
@@ -176,20 +163,16 @@ def seeds(cells: dict[str, dict[str, Floats]]) -> Iterator[str]:
         own = [rates[name] for rates in cells.values()]
         drawn = bootstrap(own, iqm, n_resamples=2000, method="percentile", rng=rng)
         low, high = (100 * end for end in drawn.confidence_interval)
-        rates = (
-            f"{100 * one.mean():.1f} ({100 * one.min():.0f} to {100 * one.max():.0f})"
-            for one in own
-        )
-        body.append((100 * float(iqm(*own)), name, low, high, *rates))
+        ends = [[100 * rate for rate in (one.mean(), one.min(), one.max())] for one in own]
+        rates = [f"{mean:.1f} ({least:.0f} to {most:.0f})" for mean, least, most in ends]
+        middle = 100 * float(iqm(*own))
+        line = name, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", *rates
+        body.append((middle, name, line))
     body.sort(reverse=True)
     counts = (f"{name}, {len(own[names[0]])} seeds, mean (range)" for name, own in cells.items())
-    lines = [
-        (name, f"{middle:.1f}", f"{low:.1f} to {high:.1f}", *own)
-        for middle, name, low, high, *own in body
-    ]
-    yield from table(("learner", "IQM", "95 % interval", *counts), lines)
+    yield from table(("learner", "IQM", "95 % interval", *counts), [line for *_, line in body])
     yield "\n![Share of trainings with at least a success rate, by learner](profile.svg)\n"
-    order = [row[1] for row in body]
+    order = [name for _, name, _ in body]
     yield "How often a training of the row is better than one of the column, in per cent:\n"
     chances = [
         [f"{100 * chance(cells, one, other):.0f}" * (one != other) for other in order]
@@ -290,7 +273,7 @@ def readme(text_: str, rows: Sequence[Row]) -> str:
     """README with its table: who doesn't learn, the best of each kind, and the expert."""
     cells = [(BENCH_ENGINE, task, nx) for task, nx in product(("tie", "convert"), (2, 3))]
     shown = []
-    for says, sees, protocol, fits in SHOWN:
+    for says, (sees, protocol, fits) in SHOWN.items():
         line: list[str] = []
         for cell in cells:
             whose: dict[tuple[str, ...], list[float]] = {}
@@ -321,35 +304,34 @@ def replayed_in_ci(paths: Sequence[Path], ledger: dict[str, Any]) -> set[Path]:
     """The entries that --check replays: new since the last commit, and a tenth of the rest."""
 
     def git(*words: str) -> str:
-        made = subprocess.run(
-            ("git", "-C", ROOT, *words), capture_output=True, text=True, check=False
-        )
+        made = subprocess.run(("git", "-C", ROOT, *words), capture_output=True, text=True)
         return made.stdout if made.returncode == 0 else ""
 
     before = json.loads(git("show", "HEAD~1:benchmarks/ledger.json") or '{"entries": {}}')
-    old = [
-        one
-        for one in paths
-        if ledger["entries"].get(one.name) == before["entries"].get(one.name, 0)
-    ]
+    known, new = before["entries"], ledger["entries"]
+    old = [path for path in paths if new.get(path.name) == known.get(path.name, 0)]
     rng = np.random.default_rng(int(git("rev-parse", "HEAD").strip()[:12] or "0", 16))
     drawn = rng.permutation(len(old))[: -(-len(old) // 10)]
     return {*paths} - {one for k, one in enumerate(old) if k not in drawn}
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a file differs")
-    parser.add_argument("--all", action="store_true", help="replay every entry")
-    parser.add_argument("--entries", type=Path, default=ENTRIES, help="folder of entries")
-    parser.add_argument("--root", type=Path, default=ROOT, help="folder of README.md and docs")
-    given = parser.parse_args()
-    paths, place = sorted(given.entries.glob("*.h5")), given.root / "benchmarks" / "ledger.json"
+def main(
+    *, check: bool = False, all: bool = False, entries: Path = ENTRIES, root: Path = ROOT
+) -> None:
+    """Make the board from the entries.
+
+    Args:
+        check: write nothing; status 1 if a file differs.
+        all: replay every entry.
+        entries: folder of entries.
+        root: folder of README.md and docs.
+    """
+    paths, place = sorted(entries.glob("*.h5")), root / "benchmarks" / "ledger.json"
     ledger: dict[str, Any] = {"episodes": {}, "entries": {}}
     if place.is_file():
         ledger = json.loads(place.read_text(encoding="utf-8"))
-    ledger["entries"] = {k: v for k, v in ledger["entries"].items() if given.entries / k in paths}
-    again = replayed_in_ci(paths, ledger) if given.check else {*paths} if given.all else set()
+    ledger["entries"] = {k: v for k, v in ledger["entries"].items() if entries / k in paths}
+    again = replayed_in_ci(paths, ledger) if check else {*paths} if all else set()
     rows, faults = list[tuple[Row, list[bytes]]](), list[str]()
     for number, path in enumerate(paths, 1):
         print(f"{number} of {len(paths)}: {path.name}", file=sys.stderr)
@@ -357,7 +339,7 @@ def main() -> None:
             own = [*rows_of(path, ledger, path in again)]
             require_apart([*rows, *own], len(rows))
             rows += own
-            if not given.check:  # so that an interrupted run is continued
+            if not check:  # so that an interrupted run is continued
                 place.write_text(json.dumps(ledger, indent=1) + "\n", encoding="utf-8")
         except (Refused, KnotgymError, LookupError, TypeError, ValueError) as error:
             faults.append(f"{path.name} {one_line(str(error))}")
@@ -367,18 +349,18 @@ def main() -> None:
     made = {
         "docs/benchmark.md": page(found),
         "docs/profile.svg": profile(grid(found)),
-        "README.md": readme((given.root / "README.md").read_text(encoding="utf-8"), found),
+        "README.md": readme((root / "README.md").read_text(encoding="utf-8"), found),
         "benchmarks/ledger.json": json.dumps(ledger, indent=1) + "\n",
     }
     for name, content in made.items():
-        path = given.root / name
+        path = root / name
         if path.is_file() and path.read_text(encoding="utf-8") == content:
             continue
-        if given.check:
+        if check:
             sys.exit(f"{name} isn't what the entries make: run benchmarks/results.py")
         with atomic_write(path, overwrite=True) as part:
             part.write_text(content, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

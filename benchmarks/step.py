@@ -109,15 +109,9 @@ class Accounts(Threads):
 
 def vector(task: str, mode: str, engine: str, ropes: int, nx: int, threads: int = 1) -> Any:
     """Return a vector environment whose episodes are at random steps."""
-    envs: Any = gym.make_vec(
-        f"knotgym/{task.capitalize()}-v0",
-        num_envs=ropes,
-        vectorization_mode="vector_entry_point",
-        observation=mode,
-        engine=engine,
-        threads=threads,
-        nx=nx,
-    )
+    settings: Any = {"observation": mode, "engine": engine, "threads": threads, "nx": nx}
+    name, kind = f"knotgym/{task.capitalize()}-v0", "vector_entry_point"
+    envs: Any = gym.make_vec(name, num_envs=ropes, vectorization_mode=kind, **settings)
     envs.reset(seed=0)
     drawn = np.random.default_rng(0).integers(0, envs.unwrapped.config.horizon, ropes)
     envs.unwrapped.episodes.steps[:] = drawn
@@ -183,11 +177,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=12, help="episodes a mode")
     parser.add_argument("--ropes", type=int, help="ropes of make_vec; by default as in VECTOR")
     parser.add_argument("--vector-steps", type=int, default=12, help="steps of make_vec")
-    parser.add_argument(
-        "--task",
-        default="tie",
-        help="where the ropes start: tie, a plain loop; unknot, nx crossings",
-    )
+    parser.add_argument("--task", default="tie", help="tie starts at loops, unknot at tangles")
     parser.add_argument("--nx", type=int, default=2)
     parser.add_argument("--threads", default="1,2", help="numbers of threads of make_vec")
     parser.add_argument("--states", help="state file, instead of the one that ships")
@@ -199,29 +189,15 @@ def main() -> None:
             f" {args.steps}, {args.repeats} and {args.vector_steps}"
         )
     counts = [int(count) for count in args.threads.split(",")]
-    threaded = [
-        row
-        for mode in MODES[:2]
-        for row in thread_rates(
-            args.task, mode, args.ropes or VECTOR["chain"], args.vector_steps, args.nx, counts
-        )
-    ]
+    ropes, threaded = args.ropes or VECTOR["chain"], list[dict[str, Any]]()
+    for mode in MODES[:2]:
+        threaded += thread_rates(args.task, mode, ropes, args.vector_steps, args.nx, counts)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    # no episode ends early
-    settings = {
-        "nx": args.nx,
-        "states": args.states,
-        "horizon": args.steps + 1,
-        "hold": args.steps + 1,
-    }
+    longest, name = args.steps + 1, f"knotgym/{args.task.capitalize()}-v0"  # none ends early
+    settings = {"nx": args.nx, "states": args.states, "horizon": longest, "hold": longest}
     envs = {
-        mode: gym.make(
-            f"knotgym/{args.task.capitalize()}-v0",
-            observation=mode,
-            disable_env_checker=True,
-            **settings,
-        )
+        mode: gym.make(name, observation=mode, disable_env_checker=True, **settings)
         for mode in MODES
     }
     rng = np.random.default_rng(0)

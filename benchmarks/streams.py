@@ -12,7 +12,6 @@ first so many photos of a stream, which ROOM keeps in 8 GB, and from all 153,600
 make in 50 minutes. Prints how often it is right on 1,280 photos of another seed.
 """
 
-import argparse
 import subprocess
 import sys
 import time
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cyclopts import run
 
 from knotgym.common import from_json
 from knotgym.datasets import open_episodes
@@ -94,7 +94,7 @@ def trained(batches: Iterator[dict[str, Any]]) -> Any:
     return network.eval()
 
 
-def photos(room: Path, sizes: list[int]) -> None:
+def count_crossings(room: Path, sizes: list[int]) -> None:
     """Print how often a network counts crossings right that saw sets of photos, or all."""
     import torch
     from torch import nn
@@ -137,20 +137,19 @@ def photos(room: Path, sizes: list[int]) -> None:
         print(f"{size} photos: {100 * torch.cat(right).float().mean():.1f} %", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("room", type=Path)
-    parser.add_argument("sets", type=Path, nargs="*")
-    parser.add_argument("--photos", type=lambda text: [int(one) for one in text.split(",")])
-    given = parser.parse_args()
+def main(room: Path, *sets: Path, photos: str = "") -> None:
+    """Train on sets and on a stream, and print what each brings.
+
+    Args:
+        room: folder for what is written.
+        sets: folders of datasets.
+        photos: numbers of photos, such as 10240,102400, instead of sets.
+    """
     import torch
 
-    room, sets = given.room, given.sets
     torch.set_num_threads(1)
-    if given.photos:
-        return photos(room, given.photos)
+    if photos:
+        return count_crossings(room, [int(size) for size in photos.split(",")])
     torch.backends.mha.set_fastpath_enabled(False)  # it can't be traced
     config: Any = from_json(CollectConfig, open_episodes(sets[-1]).attributes["run"]["config"])
     endless = stream(config, config.seed, batch=BATCH, repeats=REPEATS, **VIEW)
@@ -168,4 +167,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -10,54 +10,67 @@ the same view. Writes JSON to --out.
 """
 
 import json
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from cyclopts import run
 from picture_check import shown_strands
-from rope_states import tangled
 
-from knotgym.common import KnotgymError
+from knotgym.common import Array, KnotgymError
+from knotgym.generate import PhasedPulls
 from knotgym.rendering import PictureConfig, draw
-from knotgym.topology import find_crossings
+from knotgym.rope import CHAIN, RopeConfig, simulation_of
+from knotgym.topology import find_crossings, label
+
+ROPES, EVERY, MOST = 64, 4, 15  # ropes side by side; pulls between two looks; most crossings
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("--states", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("truth.json"))
-    args = parser.parse_args()
-    states = list(tangled(args.states, np.random.default_rng(args.seed)))
-    figures = {}
-    print(
-        f"{'renderer':10} {'pixels':>6} {'states':>6} {'crossings':>9} {'as labelled':>11}"
-        f" {'wrong':>6} {'ambiguous':>9}"
-    )
+def tangled(count: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Yield `count` configurations (beads, 3) that random pulls have tangled, none chosen."""
+    simulation = simulation_of(ROPES, RopeConfig(), CHAIN)
+    start = simulation.rope.qpos(PhasedPulls.coil(simulation.rope))
+    simulation.set_qpos(np.repeat(start[None], ROPES, axis=0))
+    given = 0
+    while given < count:
+        for _ in range(EVERY):
+            simulation.act(rng.uniform(-1, 1, (ROPES, 6)).astype(np.float32))
+        for points in simulation.points:
+            if given < count and 1 <= label(points).nx <= MOST:
+                yield points.copy()
+                given += 1
+
+
+def main(*, states: int = 1000, seed: int = 0, out: Path = Path("truth.json")) -> None:
+    """Print which strand pictures show on top, by renderer and size.
+
+    Args:
+        states: how many ropes.
+        seed: of the pulls that tangle them.
+        out: file that gets the counts.
+    """
+    ropes, figures = [*tangled(states, np.random.default_rng(seed))], {}
+    print("renderer   pixels states crossings as labelled  wrong ambiguous")
     for renderer in ("opencv", "mujoco"):
         for size in (64, 128, 256, 512):
             config = PictureConfig(size=size, renderer=renderer)
             shown: Counter[str] = Counter()
             try:
-                for points in states:
-                    crossings = find_crossings(points)
-                    shown.update(
-                        shown_strands(draw(points, config), crossings, points, config).tolist()
-                    )
+                for points in ropes:
+                    image, crossings = draw(points, config), find_crossings(points)
+                    shown.update(shown_strands(image, crossings, points, config).tolist())
             except KnotgymError as error:
                 print(f"{renderer:10} {error}")
                 break
             figures[f"{renderer} {size}"] = dict(shown)
             print(
-                f"{renderer:10} {size:6} {len(states):6} {shown.total():9} {shown['over']:11}"
+                f"{renderer:10} {size:6} {states:6} {shown.total():9} {shown['over']:11}"
                 f" {shown['under']:6} {shown['ambiguous']:9}"
             )
-    args.out.write_text(
-        json.dumps({"states": len(states), "seed": args.seed, "crossings": figures}, indent=1)
-        + "\n"
-    )
+    told = {"states": states, "seed": seed, "crossings": figures}
+    out.write_text(json.dumps(told, indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

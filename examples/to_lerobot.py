@@ -9,11 +9,11 @@ policies need `observation.state`, elsewhere the joints of a robot: here it is t
 rope, on which pictures are centred, so that a place in the picture can be turned into an action.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cyclopts import run
 
 try:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -51,9 +51,15 @@ def features(shape: tuple[int, ...], video: bool) -> dict[str, Any]:
     return found
 
 
-def convert(source: str, out: Path, video: bool) -> int:
-    """Write the dataset; return its number of episodes."""
-    opened = Transitions(source, observation="both", action="pull")
+def convert(dataset: str, *, out: Path, video: bool = False) -> None:
+    """Write a dataset in LeRobot's format.
+
+    Args:
+        dataset: a Minari id, a folder or an episode file.
+        out: folder to create.
+        video: store pictures as video, which is lossy.
+    """
+    opened = Transitions(dataset, observation="both", action="pull")
     episodes = opened.dataset.episodes
     reached = episodes.goal_reached(opened.task)
     goals = CodeArrays(episodes.episodes["goal_visits"]).texts()
@@ -84,14 +90,8 @@ def convert(source: str, out: Path, video: bool) -> int:
             made.add_frame(frame)
         made.save_episode()
     made.finalize()
-    return len(goals)
+    print(f"{out}: {len(goals)} episodes")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("dataset", help="a Minari id, a folder or an episode file")
-    parser.add_argument("--out", type=Path, required=True, help="folder to create")
-    parser.add_argument("--video", action="store_true", help="pictures as video, which is lossy")
-    given = parser.parse_args()
-    count = convert(given.dataset, given.out, given.video)
-    print(f"{given.out}: {count} episodes")
+    run(convert)

@@ -14,9 +14,17 @@ ROOT = Path(__file__).parents[1]
 
 
 def run_script(script: Path, *words: object) -> None:
-    """Type `python SCRIPT WORDS...`; what the script sets for its whole process is put back."""
+    """Type `python SCRIPT WORDS...`; what the script sets for its whole process is put back.
+
+    Raises:
+        SystemExit: it ended with another status than 0.
+    """
     with _as_it_was(script.parent), mock.patch.object(sys, "argv", [str(script), *map(str, words)]):
-        runpy.run_path(str(script), run_name="__main__")
+        try:
+            runpy.run_path(str(script), run_name="__main__")
+        except SystemExit as end:
+            if end.code:
+                raise
 
 
 @contextmanager

@@ -13,7 +13,6 @@ import ast
 import inspect
 import json
 import time
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from cards import card_of
+from cyclopts import run
 from diagram_values import code_of
 
 from knotgym.envs import Marked
@@ -104,8 +104,14 @@ def graph_of(dataset: str) -> dict[str, dict[str, int]]:
     return {code: dict(sorted(found.items())) for code, found in sorted(graph.items())}
 
 
-def make(near: Path, dataset: str, out: Path) -> None:
-    """Write the graph of a dataset, and the policy of it and of a network."""
+def make(near: Path, dataset: str, *, out: Path) -> None:
+    """Write the graph of a dataset, and the policy of it and of a network.
+
+    Args:
+        near: weights of NextBC, trained on macro-actions.
+        dataset: Minari id or folder of a set of macro-actions.
+        out: graph; in the weights' folder.
+    """
     began = time.process_time()
     out.write_text(json.dumps(graph_of(dataset)))
     source = near.with_suffix(".py").read_text()
@@ -119,14 +125,5 @@ def make(near: Path, dataset: str, out: Path) -> None:
     out.with_suffix(".py").write_text(module)
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("near", type=Path, help="weights of NextBC, trained on macro-actions")
-    parser.add_argument("dataset", help="Minari id or folder of a set of macro-actions")
-    parser.add_argument("--out", type=Path, required=True, help="graph; in the weights' folder")
-    given = parser.parse_args()
-    make(given.near, given.dataset, given.out)
-
-
 if __name__ == "__main__":
-    main()
+    run(make)

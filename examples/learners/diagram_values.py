@@ -11,13 +11,13 @@ the first. It reads the columns of the set alone, no table that ships.
 import inspect
 import re
 import time
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cards import card_of
+from cyclopts import run
 from numpy.typing import NDArray
 
 from knotgym.control import Moves, PassValues, Sight
@@ -120,23 +120,25 @@ def code_of(tokens: NDArray[Any]) -> GaussCode:
     return GaussCode(tuple(side * label[min(k, other)] for k, (side, other) in each))
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("dataset", help="Minari id or folder of a set of random macro-actions")
-    parser.add_argument("--sweeps", type=int, default=SWEEPS, help="of value iteration")
-    parser.add_argument("--out", type=Path, required=True, help="table of moves")
-    given = parser.parse_args()
+def main(dataset: str, *, sweeps: int = SWEEPS, out: Path) -> None:
+    """Write the table of a dataset, and the policy of it.
+
+    Args:
+        dataset: Minari id or folder of a set of random macro-actions.
+        sweeps: of value iteration.
+        out: table of moves.
+    """
     began = time.process_time()
-    table_of(given.dataset).save(given.out)
-    words = __file__, given.dataset, "--sweeps", str(given.sweeps), "--out", given.out.name
-    name = "diagram values" + f", {given.sweeps} sweep" * (given.sweeps != SWEEPS)
-    of_set = re.findall(r"-seed(\d+)-v", columns_of(given.dataset).name) or [1]
+    table_of(dataset).save(out)
+    words = __file__, dataset, "--sweeps", str(sweeps), "--out", out.name
+    name = "diagram values" + f", {sweeps} sweep" * (sweeps != SWEEPS)
+    of_set = re.findall(r"-seed(\d+)-v", columns_of(dataset).name) or [1]
     seconds, more = time.process_time() - began, {"seed": int(of_set[0]), "action": "macro"}
-    card = card_of(name, [given.dataset], seconds, words, **more)
+    card = card_of(name, [dataset], seconds, words, **more)
     functions = "\n\n".join(inspect.getsource(one) for one in (seen, policy_of, code_of))
-    module = MODULE.format(card=card, doubt=DOUBT, sweeps=given.sweeps, functions=functions)
-    given.out.with_suffix(".py").write_text(module)
+    module = MODULE.format(card=card, doubt=DOUBT, sweeps=sweeps, functions=functions)
+    out.with_suffix(".py").write_text(module)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -10,7 +10,7 @@ rope and goal are turned by quarters at random while it trains.
 
 import inspect
 import time
-from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit("pictures_torch.py needs torch: pip install '.[torch]'") from error
 from cards import card_of
+from cyclopts import run
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, interpolate
 
@@ -80,7 +81,7 @@ def turned(pictures: Tensor) -> Tensor:
     return torch.cat([torch.rot90(half, turn, (1, 2)) for half, turn in halves], 2)
 
 
-def trained(datasets: list[str], updates: int, seed: int) -> Pictures:
+def trained(datasets: Sequence[str], updates: int, seed: int) -> Pictures:
     """Train a network on the macro-actions of datasets."""
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
@@ -101,26 +102,28 @@ def trained(datasets: list[str], updates: int, seed: int) -> Pictures:
     return network
 
 
-def main() -> None:
-    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("datasets", nargs="+", help="Minari ids or folders, of the train split")
-    parser.add_argument("--updates", type=int, default=2400)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, required=True, help="file of weights")
-    given = parser.parse_args()
+def main(*datasets: str, updates: int = 2400, seed: int = 0, out: Path) -> None:
+    """Train a network, and write its weights and the module that plays them.
+
+    Args:
+        datasets: Minari ids or folders, of the train split.
+        updates: of the network.
+        seed: of all draws.
+        out: file of weights.
+    """
     torch.set_num_threads(1)
     began = time.process_time()
-    network = trained(given.datasets, given.updates, given.seed)
-    torch.save(network.state_dict(), given.out)
-    settings = {"updates": given.updates, "seed": given.seed}
+    network = trained(datasets, updates, seed)
+    torch.save(network.state_dict(), out)
+    settings = {"updates": updates, "seed": seed}
     options = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
-    words, seconds = (__file__, *given.datasets, *options), time.process_time() - began
+    words, seconds = (__file__, *datasets, *options), time.process_time() - began
     settings["parameters"] = sum(one.numel() for one in network.parameters())
     more = settings | {"action": "macro"}
-    card = card_of("BC from pictures", given.datasets, seconds, words, **more)
+    card = card_of("BC from pictures", datasets, seconds, words, **more)
     module = MODULE.format(card=card, network=inspect.getsource(Pictures))
-    given.out.with_suffix(".py").write_text(module)
+    out.with_suffix(".py").write_text(module)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

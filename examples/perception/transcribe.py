@@ -12,13 +12,13 @@ A line drawing marks neither base point nor direction. A code counts as read if 
 from some base point, in one of the two directions.
 """
 
-import argparse
 import itertools
 import json
 from pathlib import Path
 
 import cv2
 import numpy as np
+from cyclopts import run
 from numpy.typing import NDArray
 from pictures import shown_rows
 
@@ -159,18 +159,20 @@ def same_diagram(one: GaussCode, other: GaussCode) -> bool:
     return other in images(one, Symmetry.REVERSE | Symmetry.REBASE)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--split", default="test")
-    parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--out", type=Path, help="JSON lines with the answers")
-    given = parser.parse_args()
+def main(folder: Path, *, split: str = "test", count: int = 500, out: Path | None = None) -> None:
+    """Transcribe the pictures of a table, and print how many are right.
+
+    Args:
+        folder: of the table.
+        split: of the pictures.
+        count: of the pictures, at most.
+        out: file that gets the answers, as JSON lines.
+    """
     tally: dict[int, list[tuple[bool, bool]]] = {}  # nx -> for each picture: diagram, knot right
     answers = list[str]()
-    for row in shown_rows(given.folder, given.split, given.count):
+    for row in shown_rows(folder, split, count):
         if row["appearance"]["name"] != "line":
-            parser.error("these pictures aren't line drawings; make some with --appearance line")
+            raise SystemExit("no line drawings; make some with `knotgym images --appearance line`")
         code, found = GaussCode.parse(row["gauss_code_chiral"]), read(decode(row["image"]))
         exact = found is not None and same_diagram(found, code)
         planar = found is not None and found.chirality in chiralities(found)
@@ -178,8 +180,8 @@ def main() -> None:
         tally.setdefault(code.nx, []).append((exact, knot))
         own = "" if found is None else pd_text(found)
         answers.append(json.dumps({"pd_code": row["pd_code"], "answer": own, "right": exact}))
-    if given.out:
-        given.out.write_text("\n".join(answers) + "\n", encoding="utf-8")
+    if out:
+        out.write_text("\n".join(answers) + "\n", encoding="utf-8")
     print("nx  pictures  diagram     knot")
     for name, rows in [*sorted(tally.items()), ("all", [*itertools.chain(*tally.values())])]:
         shares = (f"{100 * sum(column) / len(rows):6.1f} %" for column in zip(*rows, strict=True))
@@ -187,4 +189,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

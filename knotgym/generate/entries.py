@@ -35,8 +35,7 @@ from knotgym.runs import Progress, executor, identity
 from knotgym.runs import Result as Kept
 from knotgym.states import is_bundled, resolve_states
 
-# episodes of a setup that a policy of the package plays again: one that plans, and another
-_DRAWN, _MANY = 4, 512
+_DRAWN = 4  # episodes of a setup that a policy that plans plays again; others play all
 _RAISED = KnotgymError, LookupError, TypeError, ValueError  # by attributes of a stranger's
 
 
@@ -90,7 +89,7 @@ class Entry(NamedTuple):
                 ]
                 claimed = self.claimed[number]
                 if not faults and repeats(policy, claimed.get("versions")):
-                    some = [*chain(*seeds)][: _DRAWN if policy.plans else _MANY]
+                    some = [*chain(*seeds)][: _DRAWN if policy.plans else None]
                     drawn = stored.select(np.arange(len(some)))
                     Counts.tell("episodes played again", Counts.from_now(), len(some))
                     if (row := acted_otherwise(policy, task, drawn, some)) is not None:
