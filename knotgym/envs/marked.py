@@ -158,13 +158,12 @@ class Marked(NamedTuple):
         return all(bool((part == np.rint(part)).all()) for part in whole)
 
     @classmethod
-    def of(cls, points: ArrayLike, goals: Sequence[GaussCode], *, canonical: bool = True) -> Marked:
-        """Observe ropes.
+    def of(cls, points: ArrayLike, goals: Sequence[GaussCode]) -> Marked:
+        """Observe ropes in their canonical frames.
 
         Args:
             points: (n, beads, 3), metres.
             goals: n codes; chirality is ignored.
-            canonical: in their canonical frames; else as they lie, only centred.
         """
         ropes = np.asarray(points, dtype=np.float64)
         count, beads = ropes.shape[:2]
@@ -177,18 +176,13 @@ class Marked(NamedTuple):
             for marks, places in ((over, crossings.over_place), (under, crossings.under_place)):
                 np.add.at(marks[row], np.minimum(places.astype(np.int64), beads - 1), 1)
             shown = goals[row].visits, crossings.code.visits
-            if canonical:
-                reverse[row], switch[row], goal[row], code[row] = _canonical_image(*shown)
-            else:
-                goal[row], code[row] = map(_tokens, shown)
+            reverse[row], switch[row], goal[row], code[row] = _canonical_image(*shown)
         marks = np.stack([over, under], axis=2)
         # switched, what was over is under; reversed, bead b is bead n - 1 - b, and vertices need a
         # roll
         marks = np.where(switch[:, None, None], marks[..., ::-1], marks)
         marks = np.where(reverse[:, None, None], marks[:, ::-1], marks)
         frames = _frames(ropes, reverse, switch)
-        if not canonical:
-            frames = frames._replace(axes=np.broadcast_to(np.eye(3), frames.axes.shape))
         return cls(frames.points(ropes), marks, code, goal, frames)
 
     def joined(self) -> Floats:

@@ -64,14 +64,14 @@ class Frames:
         """Return the codes of frames, int16 (n, width)."""
         return self._rows(self.visits, self.goal_visits, ids)
 
-    def marked(self, ropes: Ids, goals: Ids, *, canonical: bool = True) -> Marked:
-        """Observe ropes in their canonical frames; or as they lie, only centred."""
+    def marked(self, ropes: Ids, goals: Ids) -> Marked:
+        """Observe ropes in their canonical frames."""
         from knotgym.envs.marked import Marked
         from knotgym.topology import CodeArrays
 
         texts = CodeArrays(np.asarray(self.codes(goals))).texts().tolist()
         wanted = [parsed(text) for text in texts]  # which a stranger's numbers needn't be
-        return Marked.of(self.points(ropes), wanted, canonical=canonical)
+        return Marked.of(self.points(ropes), wanted)
 
     def _rows(self, ropes: NDArray[Any], goals: NDArray[Any], ids: Ids) -> NDArray[Any]:
         of_goals = ids >= len(self.ropes)
@@ -136,8 +136,8 @@ class ObservationKind(NamedTuple):
             ropes, goals: int64 (n,), numbers of frames.
         """
         if self.parts:
-            each = {name: OBSERVATIONS[name] for name in self.parts}
-            return {name: one.observe(task, frames, ropes, goals) for name, one in each.items()}
+            kinds = {name: OBSERVATIONS[name] for name in self.parts}
+            return {name: kind.observe(task, frames, ropes, goals) for name, kind in kinds.items()}
         whole = self.canonical if task.is_canonical else self.whole
         if whole is not None:
             return whole(frames, ropes, goals)
@@ -173,8 +173,8 @@ class ObservationKind(NamedTuple):
 
     def has_halves(self, task: TaskConfig) -> bool:
         """Whether rope and goal can be observed by themselves."""
-        each = [OBSERVATIONS[name] for name in self.parts] or [self]
-        return not task.is_canonical and all(one.half is not None for one in each)
+        kinds = [OBSERVATIONS[name] for name in self.parts] or [self]
+        return not task.is_canonical and all(kind.half is not None for kind in kinds)
 
     def _axis(self, task: TaskConfig) -> int:
         return LAYOUTS[task.layout] if self.axis is None else self.axis

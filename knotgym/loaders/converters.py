@@ -210,20 +210,15 @@ def to_tensordict(
     if os.path.lexists(folder):
         raise Occupied(f"{folder} exists already; choose another folder, or load_memmap this one")
     require_output(folder, folder=True, reads=[transitions.dataset.path])
-    with atomic_write(folder, overwrite=False) as part:
-        _map(tensordict, transitions, part)
-    return tensordict.TensorDict.load_memmap(folder)
-
-
-def _map(tensordict: Any, transitions: Transitions, folder: Path) -> None:
-    """Write the tensors of all transitions to mapped files in a new folder."""
     count, mapped = len(transitions), None
-    for some, columns in transitions.blocks(_AT_ONCE, _drawn_generator(transitions)):
-        block = _tensors(tensordict, transitions, columns, some)
-        if mapped is None:
-            mapped = block[:1].expand(count).memmap_like(folder) if count else block.memmap(folder)
-        if count:
-            mapped[some] = block
+    with atomic_write(folder, overwrite=False) as part:
+        for some, columns in transitions.blocks(_AT_ONCE, _drawn_generator(transitions)):
+            block = _tensors(tensordict, transitions, columns, some)
+            if mapped is None:
+                mapped = block[:1].expand(count).memmap_like(part) if count else block.memmap(part)
+            if count:
+                mapped[some] = block
+    return tensordict.TensorDict.load_memmap(folder)
 
 
 def _tensors(

@@ -36,13 +36,18 @@ class Outcomes:
     @cached_property
     def rewards(self) -> Array:
         """float64 (N,)."""
-        segments, rewards = self._segments, self._pull_rewards()
+        segments = self._segments
         before, after = segments.before, segments.after
         if segments.relabelled:
+            rewards = self._hindsight_rewards()
             # segments of one episode share its rows, so each gets rows of its own
             shift = np.cumsum(segments.goal_step + 1) - (segments.goal_step + 1) - segments.first
             shift = np.repeat(shift, np.diff(segments.starts))
             before, after = before + shift, after + shift
+        elif self._reward is not None:
+            rewards = self._rewards_by(self._reward)
+        else:
+            rewards = segments.episodes.steps["reward"]
         if not segments.leads:
             return rewards[before]
         between = np.stack([before, after], axis=1).ravel()
@@ -53,7 +58,7 @@ class Outcomes:
         """bool (N,), true where an episode terminated."""
         segments = self._segments
         if segments.relabelled:
-            return np.isin(np.arange(len(segments.after)), segments.starts[1:] - 1)
+            return np.isin(np.arange(segments.starts[-1]), segments.starts[1:] - 1)
         return segments.episodes.steps["terminated"][segments.after - 1]
 
     @cached_property
@@ -98,14 +103,6 @@ class Outcomes:
             rewards = success - float(window.goals.gc_negative)
             brought = rewards, success, (at == end - 1) & ~success
         return _returns(window.discount, *brought, self.pulls[at], inside)
-
-    def _pull_rewards(self) -> Array:
-        """Return the reward of the pull in each row of steps, or in each state of all segments."""
-        if self._segments.relabelled:
-            return self._hindsight_rewards()
-        if self._reward is None:
-            return self._segments.episodes.steps["reward"]
-        return self._rewards_by(self._reward)
 
     def _hindsight_rewards(self) -> Array:
         """Return the reward of the pull in each state of each segment, 0 in its last."""

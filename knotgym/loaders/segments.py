@@ -70,14 +70,12 @@ class Segments:
     @cached_property
     def before(self) -> Ids:
         """The row of steps that each transition begins in: (N,)."""
-        rows = np.arange(self.starts[-1])
-        return self.states[rows + self.of(rows)]
+        return np.delete(self.states, self.starts[1:] + np.arange(len(self.first)))
 
     @cached_property
     def after(self) -> Ids:
         """The row of steps that each transition ends in: (N,)."""
-        rows = np.arange(self.starts[-1])
-        return self.states[rows + self.of(rows) + 1]
+        return np.delete(self.states, self.starts[:-1] + np.arange(len(self.first)))
 
     @cached_property
     def codes_held(self) -> tuple[Ids, Ids]:

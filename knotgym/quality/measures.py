@@ -110,9 +110,7 @@ def _regions(pixels: Array, width: float) -> tuple[int, float]:
     return count, least / _FINE**2
 
 
-def base_spacing(
-    points: Array, crossings: Crossings, bases: ArrayLike, config: PictureConfig | None = None
-) -> Array:
+def base_spacing(points: Array, crossings: Crossings, bases: ArrayLike) -> Array:
     """Return the distance along the drawing from base beads to the nearest crossing, pixels.
 
     Args:
@@ -120,12 +118,11 @@ def base_spacing(
         crossings: those of the points.
         bases: base bead k is the one between the vertices bases[k] and bases[k] + 1; a crossing on
             it gives 0.
-        config: picture in which to measure, from above; the usual one if None.
 
     Returns:
         float64 (bases,).
     """
-    config = PictureConfig() if config is None else config
+    config = PictureConfig()
     lens = config.pixels_per_metre, float(config.size), config.rope_radius
     places, which = crossings.table.copy(), np.asarray(bases, np.int64)
     return _base_spacings(np.array(points, order="C"), places, lens, which)
@@ -152,10 +149,8 @@ def noise_survival(
         rng = Stream.NOISE_SURVIVAL.generator(seed)
     varied = Rope.noised(p, scale, [rng] * draws)
     codes = CodeArrays.read(np.concatenate([p, varied]))
-    survives = (codes.visits == codes.visits[0]).all(axis=1) & (codes.signs == codes.signs[0]).all(
-        axis=1
-    )
-    return float(survives[1:].mean())
+    each = np.hstack([codes.visits, codes.signs])
+    return float((each[1:] == each[0]).all(axis=1).mean())
 
 
 @kernel

@@ -272,8 +272,7 @@ def _derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[
     texts = columns.get("gauss_code_chiral", np.full(len(columns["points"]), None)).tolist()
     codes = [None if text is None else GaussCode.parse(text) for text in texts]
     ropes = [RopeAtRest(p, code=code) for p, code in zip(columns["points"], codes, strict=True)]
-    derived = {c.name: ([c.derived(rope) for rope in ropes], c.numpy) for c in wanted if c.derived}
-    return {name: np.array(*own) for name, own in derived.items()}
+    return {c.name: np.array([*map(c.derived, ropes)], c.numpy) for c in wanted if c.derived}
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
@@ -289,13 +288,13 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """
     if not parts:
         raise InvalidFile("nothing to merge: give at least one state file")
-    ropes, engines = [str(part.attributes.get("rope")) for part in parts], [p.engine for p in parts]
+    ropes = dict.fromkeys(str(part.attributes.get("rope")) for part in parts)
+    engines = dict.fromkeys(part.engine for part in parts)
     for what, kinds in (("rope model", ropes), ("engine", engines)):
-        if others := [one for one in kinds if one != kinds[0]]:
-            kind, other = kinds[0], others[0]
-            raise InvalidFile(f"states to merge must have one {what}, got {kind} and {other}")
-    names = dict.fromkeys(name for part in parts for name in part.table)
-    schema = STATES.only(*names)
+        if len(kinds) > 1:
+            given = " and ".join(kinds)
+            raise InvalidFile(f"states to merge must have one {what}, got {given}")
+    schema = STATES.only(*{name for part in parts for name in part.table})
     tables = list[Table]()
     for number, part in enumerate(parts, 1):
         missing = [c.name for c in schema.columns if c.name not in part.table]
@@ -305,11 +304,13 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
             tables.append(Table(schema, columns).filled(schema))
     order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
     merged = Table.joined(tables).take(order)
-    twice = repeated(one.tobytes() for one in merged["points"]) if distinct else []
-    if twice:
-        rows = "rows {} and {}".format(*twice[0])
+    twice = repeated(points.tobytes() for points in merged["points"]) if distinct else []
+    for first, second in twice:
+        rows = f"rows {first} and {second}"
         raise InvalidFile(f"{len(twice)} states occur twice, first in {rows} of the merged file")
-    found = [part.attributes.get("config", {}) for part in parts]
-    configs = [config for one in found for config in (one if isinstance(one, list) else [one])]
+    configs = list[Any]()
+    for part in parts:
+        config = part.attributes.get("config", {})
+        configs += config if isinstance(config, list) else [config]
     config = configs if len(configs) > 1 else configs[0]
     return States(merged, {**parts[0].attributes, "config": config})
