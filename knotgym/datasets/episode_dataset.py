@@ -47,14 +47,7 @@ from knotgym import (
     envs,  # OpenCV and the engines, which few readers need, on first use
 )
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
-from knotgym.datasets.episodes import (
-    EPISODES,
-    STEPS,
-    STORED_PULLS,
-    STORED_RECORDED,
-    Episodes,
-    fitted,
-)
+from knotgym.datasets.episodes import FORMS, Episodes, fitted
 from knotgym.envs import TaskConfig
 from knotgym.rope import ENGINES
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
@@ -70,10 +63,10 @@ _SEAL = "attributes"
 
 def joined_task(tasks: Sequence[TaskConfig]) -> TaskConfig:
     """Return the task that draws from all of those, which differ in task, nx and split alone."""
-    names = dict.fromkeys(name for one in tasks for name in one.tasks)
-    crossings = sorted({nx for one in tasks for nx in one.crossings})
+    names = dict.fromkeys(name for task in tasks for name in task.tasks)
+    crossings = sorted({nx for task in tasks for nx in task.crossings})
     several: dict[str, Any] = {"task": (*names,), "nx": (*crossings,)}
-    return replace(tasks[0], **{name: own for name, own in several.items() if len(own) > 1})
+    return replace(tasks[0], **{name: each for name, each in several.items() if len(each) > 1})
 
 
 def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
@@ -84,7 +77,6 @@ def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
 
 
 _UPGRADES = {2: _to_3}
-_FORMS = {"columns": (EPISODES, STEPS), "recording": (STORED_RECORDED, STORED_PULLS)}
 
 
 @dataclass(frozen=True)
@@ -254,7 +246,7 @@ class EpisodeDataset:
         root = minari_root().resolve()
         carried = (root / named / "data" / STATES_FILE).resolve()
         candidates = [self.path.with_name(STATES_FILE), *[carried] * carried.is_relative_to(root)]
-        candidates = [one for one in candidates if one.is_file() and not one.is_symlink()]
+        candidates = [path for path in candidates if path.is_file() and not path.is_symlink()]
         for path in candidates:
             if common.sha256(path) == digest:
                 return path
@@ -287,11 +279,11 @@ def open_episodes(source: Any) -> EpisodeDataset:
         raise InvalidFile(f"{path} was recorded by Minari: it can be loaded, but not played again")
     read = partial(common.read_tables, format=FORMAT, version=VERSION, upgrades=_UPGRADES)
     _, attributes = read(path)
-    if (form := str(attributes.get("form"))) not in _FORMS:
-        raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(_FORMS)}")
+    if (form := str(attributes.get("form"))) not in FORMS:
+        raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
     with InvalidFile.instead(f"{path} has no valid task", KnotgymError, KeyError, TypeError):
         task = common.from_json(TaskConfig, attributes["task"])
-    (rows, steps), _ = read(path, *(schema.sized(beads=task.beads) for schema in _FORMS[form]))
+    (rows, steps), _ = read(path, *(schema.sized(beads=task.beads) for schema in FORMS[form]))
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -351,13 +343,13 @@ def require_alike(
     datasets: Sequence[EpisodeDataset], facts: Callable[[EpisodeDataset], Mapping[str, object]]
 ) -> None:
     """Raise InvalidInput if datasets differ in one of their facts."""
-    every = [facts(one) for one in datasets]
-    for other, values in zip(datasets[1:], every[1:], strict=True):
-        for name, value in every[0].items():
-            if values[name] != value:
+    first = facts(datasets[0])
+    for other in datasets[1:]:
+        for name, value in facts(other).items():
+            if value != first[name]:
                 raise InvalidInput(
-                    f"these datasets must have one {name}: {datasets[0].path} has {value},"
-                    f" {other.path} has {values[name]}"
+                    f"these datasets must have one {name}: {datasets[0].path} has {first[name]},"
+                    f" {other.path} has {value}"
                 )
 
 
