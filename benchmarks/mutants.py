@@ -81,22 +81,26 @@ def mutants(path: Path) -> list[Callable[[], tuple[str, str]]]:
     return [partial(mutant, place, change) for place, node in nodes for change in changes(node)]
 
 
+def fails(copied: Path, words: list[str], limit: int) -> bool:
+    """Return whether a test fails in a copy of the checkout, or takes too long."""
+    run = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *words]
+    within = partial(resource.setrlimit, resource.RLIMIT_CPU, (limit, limit))
+    try:  # what waits for ever takes no CPU time
+        ended = subprocess.run(
+            run, cwd=copied, capture_output=True, timeout=20 * limit, preexec_fn=within
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    return ended.returncode != 0
+
+
 def is_killed(copied: Path, module: Path, limit: int) -> bool:
-    """Return whether a test fails in a copy of the checkout: a module's, a room's, any."""
+    """Return whether a test fails: of a module's file, of its room, of all."""
     room = str(Path("tests", *module.parts[1:-1]))
     named = [str(path) for path in copied.glob(f"tests/**/test_{module.stem}.py")]
-    for words in (named, [room], ["tests", f"--ignore={room}"]):
-        if words and (copied / words[0]).exists():
-            run = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *words]
-            own_limit = partial(resource.setrlimit, resource.RLIMIT_CPU, (limit, limit))
-            try:  # what waits for ever takes no CPU time
-                if subprocess.run(
-                    run, cwd=copied, capture_output=True, timeout=20 * limit, preexec_fn=own_limit
-                ).returncode:
-                    return True
-            except subprocess.TimeoutExpired:
-                return True
-    return False
+    each = named, [room], ["tests", f"--ignore={room}"]
+    known = [words for words in each if words and (copied / words[0]).exists()]
+    return any(fails(copied, words, limit) for words in known)
 
 
 def main() -> None:
@@ -111,8 +115,10 @@ def main() -> None:
         result = json.loads(asked.out.read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as name:
         copied = Path(name, "checkout")
-        unwanted = shutil.ignore_patterns(".*", "__pycache__", "build", "knotgym-data")
+        unwanted = shutil.ignore_patterns(".git", ".venv", ".*cache", "__pycache__", "build")
         shutil.copytree(ROOT, copied, symlinks=True, ignore=unwanted)
+        if fails(copied, ["tests"], asked.limit):
+            sys.exit("the tests fail without a mutant")
         for room in asked.rooms:
             files = sorted((ROOT / "knotgym" / room).rglob("*.py"))
             sizes = np.array([path.stat().st_size for path in files], dtype=float)
