@@ -47,7 +47,14 @@ from knotgym import (
     envs,  # OpenCV and the engines, which few readers need, on first use
 )
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
-from knotgym.datasets.episodes import FORMS, Episodes, fitted
+from knotgym.datasets.episodes import (
+    EPISODES,
+    STEPS,
+    STORED_PULLS,
+    STORED_RECORDED,
+    Episodes,
+    fitted,
+)
 from knotgym.envs import TaskConfig
 from knotgym.rope import ENGINES
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
@@ -77,6 +84,7 @@ def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
 
 
 _UPGRADES = {2: _to_3}
+_FORMS = {"columns": (EPISODES, STEPS), "recording": (STORED_RECORDED, STORED_PULLS)}
 
 
 @dataclass(frozen=True)
@@ -279,11 +287,11 @@ def open_episodes(source: Any) -> EpisodeDataset:
         raise InvalidFile(f"{path} was recorded by Minari: it can be loaded, but not played again")
     read = partial(common.read_tables, format=FORMAT, version=VERSION, upgrades=_UPGRADES)
     _, attributes = read(path)
-    if (form := str(attributes.get("form"))) not in FORMS:
-        raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
+    if (form := str(attributes.get("form"))) not in _FORMS:
+        raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(_FORMS)}")
     with InvalidFile.instead(f"{path} has no valid task", KnotgymError, KeyError, TypeError):
         task = common.from_json(TaskConfig, attributes["task"])
-    (rows, steps), _ = read(path, *(schema.sized(beads=task.beads) for schema in FORMS[form]))
+    (rows, steps), _ = read(path, *(schema.sized(beads=task.beads) for schema in _FORMS[form]))
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
