@@ -106,7 +106,7 @@ def _as_text(data: Mapping[str, Any]) -> str:
 
 
 def _part(name: str) -> str:
-    return (files("knotgym.datasets.page") / name).read_text(encoding="utf-8")
+    return (files("knotgym.datasets") / "page_files" / name).read_text(encoding="utf-8")
 
 
 def _sampled(count: int, most: int, what: str = "", notices: Any = None) -> list[int]:
