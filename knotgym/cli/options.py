@@ -150,7 +150,7 @@ def command(
                 for path, value in (*map(_assigned, set or ()), *typed.items()):
                     kind = known[path].kind if path in known else str
                     tree = merged(tree, _nested({path: _read_value(value, kind, path)}))
-                function(Given(tree, known, sections, progress, quiet), *words, **mine)
+                function(Given(tree, known, sections, progress), *words, **mine)
                 progress.say_seconds()
 
         common = inspect.signature(_run).parameters
@@ -186,14 +186,12 @@ class Given:
         known: path -> field, of all that can be set.
         sections: as of `command`.
         progress: the progress display.
-        quiet: whether only results and errors are printed.
     """
 
     settings: dict[str, Any]
     known: Mapping[str, _Field]
     sections: Sections
     progress: Progress
-    quiet: bool
 
     def has(self, path: str) -> bool:
         """Return whether a field was typed or set."""
@@ -242,7 +240,7 @@ class Given:
     @property
     def run(self) -> RunOptions:
         """The options of the run."""
-        return self.config(RunOptions, {"quiet": self.quiet}, section="run")
+        return self.config(RunOptions, {"quiet": self.progress.quiet}, section="run")
 
     @staticmethod
     def folder(out: Path | None, name: str) -> Path:

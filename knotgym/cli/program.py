@@ -135,7 +135,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tokens = sys.argv[1:] if arguments is None else [*arguments]
     goes_on = stopped = ""
     try:
-        _require_folder()
+        # no path has a meaning in a folder that was deleted
+        with InvalidInput.instead("the current folder is gone: change to another", OSError):
+            os.getcwd()
         typed = commands().get(tokens[0]) if tokens else None
         goes_on = f"; {_KEPT}" if typed and typed.resumes else ""
         stopped = f"interrupted before all output was written{goes_on}"
@@ -152,8 +154,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (BrokenExecutor, MemoryError):
         status = _say(f"a worker died or memory ran out{goes_on}", _FAILED)
     except OSError as error:
-        # an impossible file name is the user's mistake
-        status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)
+        # the system's message, without what a library adds; an impossible name is a mistake
+        message = os.strerror(error.errno) if error.errno else str(error)
+        is_mistake = error.errno in _NO_NAME
+        status = _say(f"{message} {error.filename or ''}", _MISTAKEN if is_mistake else _FAILED)
     except KeyboardInterrupt:
         status = _say(stopped, _INTERRUPTED)
     except Exception as error:
@@ -163,12 +167,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             traceback.print_exc()
             status = _say(_OURS, _FAILED)
     sys.exit(status)
-
-
-def _require_folder() -> None:
-    """Raise InvalidInput if the current folder was deleted, without which no path has a meaning."""
-    with InvalidInput.instead("the current folder is gone: change to another", OSError):
-        os.getcwd()
 
 
 def _mistake(error: CycloptsError) -> str:
@@ -215,12 +213,6 @@ def _end(stopped: str, number: int, frame: FrameType | None) -> None:
     shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # the live table hides the cursor
     os.write(2, f"{shown}knotgym: {stopped}\n".encode())
     os._exit(_INTERRUPTED)
-
-
-def _trouble(error: OSError) -> str:
-    """Return the operating system's message, without what a library adds to it."""
-    message = os.strerror(error.errno) if error.errno else str(error)
-    return f"{message} {error.filename or ''}"
 
 
 def _say(text: str, status: int) -> int:

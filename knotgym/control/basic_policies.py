@@ -51,7 +51,10 @@ class ActionPlayer(ABC):
         view.pulled(before, np.zeros(len(before), dtype=bool))
         deciding = ids[~view.busy[ids]]
         if len(deciding):
-            view.begin(self._in_world(deciding), deciding)
+            actions = _checked(self.choose(deciding), view, self.name)
+            if self.is_canonical:
+                actions = self.batch.world_actions(view, actions, deciding).astype(np.float32)
+            view.begin(actions, deciding)
         self._pulled[ids] = True
         beads, strong = view.pulls_of(ids)
         forces = strong.astype(np.float32)
@@ -60,13 +63,6 @@ class ActionPlayer(ABC):
         # whether this pull is the first of its macro-action, then bead, target and side
         macros = np.column_stack([view.pulls[ids] == 0, view.macros[ids]])
         return Pulls(ids, beads, forces, macros)
-
-    def _in_world(self, ids: Ids) -> NDArray[np.float32]:
-        """Choose actions, check them, and map them into the world."""
-        actions = _checked(self.choose(ids), self.view, self.name)
-        if self.is_canonical:
-            actions = self.batch.world_actions(self.view, actions, ids).astype(np.float32)
-        return actions
 
 
 class RandomPlayer(ActionPlayer):
@@ -80,18 +76,16 @@ class RandomPlayer(ActionPlayer):
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         super().begin(ids, rngs)
-        for index, rng in zip(ids.tolist(), rngs, strict=True):
-            if self.view.counts is None:
-                self._drawn[index] = rng.uniform(-1, 1, self._drawn.shape[1:])
-
-    def choose(self, ids: Ids) -> NDArray[Any]:
         if self.view.counts is None:
-            drawn: NDArray[Any] = self._drawn[ids, self.batch.steps[ids]]
-            return drawn
+            self._drawn[ids] = [rng.uniform(-1, 1, self._drawn.shape[1:]) for rng in rngs]
+
+    def choose(self, ids: Ids) -> Any:
+        if self.view.counts is None:
+            return self._drawn[ids, self.batch.steps[ids]]
         return np.stack([self.rngs[index].integers(self.view.counts) for index in ids.tolist()])
 
 
-def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
+def _checked(actions: Any, view: ActionView, name: str) -> NDArray[Any]:
     """Check the actions of user code or of a model, by the rules of the environment's `step`.
 
     Args:
@@ -121,7 +115,4 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
         actions = np.stack(rows)
     with InvalidPolicy.instead(wanted, InvalidInput):
         view.check(actions, np.arange(len(actions)))
-    if view.counts is None:
-        return np.clip(actions, -1, 1)
-    checked_actions: NDArray[np.float32] = actions
-    return checked_actions
+    return np.clip(actions, -1, 1) if view.counts is None else np.asarray(actions)

@@ -67,22 +67,19 @@ def own_policy(given: Any, name: str) -> SimplePolicy:
 
         def _compatible_task(task: TaskConfig) -> TaskConfig:
             with user_code(name):
-                compatible: TaskConfig = given.compatible_task(task)
-            return compatible
+                return given.compatible_task(task)
 
         return SimplePolicy(name, partial(_GuardedPlayer, name, given), _compatible_task)
-    reset_takes: int | None = None
     if inspect.isclass(given):
         with user_code(name):
             given = given()
-    if callable(getattr(given, "act", None)) and callable(getattr(given, "reset", None)):
-        takes, reset_takes = _takes(given.act, (3, 1)), _takes(given.reset, (1, 0))
-        if reset_takes is None:
-            raise InvalidPolicy(
-                f"policy {name}: reset must take no argument, or the episode's generator"
-            )
-    else:
-        takes = _takes(given, (3, 1)) if callable(given) else None
+    resets = callable(getattr(given, "act", None)) and callable(getattr(given, "reset", None))
+    reset_takes = _takes(given.reset, (1, 0)) if resets else None
+    if resets and reset_takes is None:
+        raise InvalidPolicy(
+            f"policy {name}: reset must take no argument, or the episode's generator"
+        )
+    takes = _takes(given.act if resets else given, (3, 1))
     if takes is None:
         raise InvalidPolicy(
             f"policy {name} must be a function of (observation) or of (observation, info,"
@@ -183,16 +180,11 @@ def files(name: str) -> dict[str, Path]:
         root, sources = _sources(module)
     if root is None:
         return by_name(listed)
-    opened = [Path(path) for key in (module.__name__, name) for path in sorted(_opened[key])]
+    used = [Path(path) for key in (module.__name__, name) for path in sorted(_opened[key])]
     # compiled modules and what lies elsewhere, such as in a library, has a version
-    ours = Path(knotgym.__file__).parent, Path(sys.prefix)
-    used = [
-        path
-        for path in opened
-        if path.is_relative_to(root)
-        and "__pycache__" not in path.parts
-        and not any(map(path.is_relative_to, ours))
-    ]
+    used = [path for path in used if path.is_relative_to(root) and "__pycache__" not in path.parts]
+    for ours in (Path(knotgym.__file__).parent, Path(sys.prefix)):
+        used = [path for path in used if not path.is_relative_to(ours)]
     known = {path.resolve() for _, path in listed}
     used = [path for path in (*sources, *used) if path.is_file() and path.resolve() not in known]
     return by_name([*((path.relative_to(root).as_posix(), path) for path in used), *listed])
@@ -289,6 +281,8 @@ def _hook() -> None:
 
 def _takes(function: Callable[..., Any], counts: tuple[int, ...]) -> int | None:
     """The first of these numbers of positional arguments that a function accepts, or None."""
+    if not callable(function):
+        return None
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # some builtins have no signature

@@ -100,17 +100,13 @@ class Policy(Protocol):
         """Return a player for the lanes of a batch."""
 
 
-def _any(task: TaskConfig) -> TaskConfig:
-    return task
-
-
 @dataclass(frozen=True)
 class SimplePolicy:
     """A policy put together from its parts, which are those of `Policy`."""
 
     name: str
     player: Callable[[EpisodeBatch], Player]
-    compatible_task: Callable[[TaskConfig], TaskConfig] = _any
+    compatible_task: Callable[[TaskConfig], TaskConfig] = lambda task: task
 
 
 @dataclass(frozen=True, kw_only=True)

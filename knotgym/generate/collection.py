@@ -67,15 +67,15 @@ def _distinct_id(config: CollectConfig) -> str:
     rules = [*differences(as_json(TaskConfig(**Mark.values(task, "named"))), as_json(task))]
     rules += differences(as_json(PolicyConfig(policy=policy.policy)), as_json(policy))
     digest = hashlib.sha256("; ".join(rules).encode()).hexdigest()[:8]
-    marks = {
-        states_mark(task.states): True,
-        task.observation: task.observation != CollectConfig.task.observation,
-        f"seed{config.seed}": config.seed != 0,
-        "successes": not config.keep_failed,
-        "labelled": config.labels != "",
-        f"rules{digest}": bool(rules),
-    }
-    return plain_id(task, policy, *(mark for mark, shown in marks.items() if shown))
+    marks = (
+        states_mark(task.states),
+        task.observation * (task.observation != CollectConfig.task.observation),
+        f"seed{config.seed}" * (config.seed != 0),
+        "successes" * (not config.keep_failed),
+        "labelled" * (config.labels != ""),
+        f"rules{digest}" * bool(rules),
+    )
+    return plain_id(task, policy, *marks)
 
 
 def collect(

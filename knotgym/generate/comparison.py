@@ -4,7 +4,6 @@ Episode i of a seed begins alike for every policy, so results of one cell and se
 episode by episode. What makes a start hard then cancels, and the interval is narrower.
 """
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -67,14 +66,11 @@ def _scores_in(path: Path) -> list[_Score]:
             digests = dict((content["source"] or {}).get("states", {}))
             engine = str(content.get("engine", ""))
     rules = Mark.values(config.task, "rules", "physics") | {"states": sorted(digests.values())}
-    settings = (
-        {name: getattr(result, name) for name in ("task", "nx", "split")} for result in results
-    )
-    cells = [json.dumps([*(rules | kept).items()]) for kept in settings]
-    return [
-        _Score(path, cell, config.seed, config.protocol, engine, result)
-        for cell, result in zip(cells, results, strict=True)
-    ]
+    scores = []
+    for result in results:
+        cell = str(rules | {"task": result.task, "nx": result.nx, "split": result.split})
+        scores.append(_Score(path, cell, config.seed, config.protocol, engine, result))
+    return scores
 
 
 def _difference(score: _Score, base: _Score) -> tuple[Difference, bool]:
@@ -114,22 +110,17 @@ def compare(paths: Sequence[Path], console: Console) -> None:
             which = ", ".join(f"{file} {digest}" for digest, file in engines.items())
             raise InvalidInput(one_line(f"engines that do otherwise played these results: {which}"))
         differences = [_difference(score, base) for score in group[1:]]
-        table = narrow_table(
-            ("policy", "success", "difference", "better"),
-            title=f"{base.result.task} nx {base.result.nx}, {base.result.split}, protocol"
-            f" {' or '.join(sorted({score.protocol or 'none' for score in group}))}, against"
-            f" {_name(base, group)}",
-            left=("policy",),
-        )
-        table.add_row(_name(base, group), f"{100 * base.result.success_rate:.1f} %", "", "")
-        for score, (gained, _) in zip(group[1:], differences, strict=True):
+        names, cell = [_name(score, group) for score in group], base.result
+        protocols = " or ".join(sorted({score.protocol or "none" for score in group}))
+        title = f"{cell.task} nx {cell.nx}, {cell.split}, protocol {protocols}, against {names[0]}"
+        columns = "policy", "success", "difference", "better"
+        table = narrow_table(columns, title=title, left=columns[:1])
+        rates = [f"{100 * score.result.success_rate:.1f} %" for score in group]
+        table.add_row(names[0], rates[0], "", "")
+        for name, rate, (gained, _) in zip(names[1:], rates[1:], differences, strict=True):
             mean, low, high, better = (100 * part for part in gained)
-            table.add_row(
-                _name(score, group),
-                f"{100 * score.result.success_rate:.1f} %",
-                f"{mean:+.1f} ({low:+.1f} to {high:+.1f})",
-                f"{better:.0f} %",
-            )
+            gain = f"{mean:+.1f} ({low:+.1f} to {high:+.1f})"
+            table.add_row(name, rate, gain, f"{better:.0f} %")
         console.print(table)
         paired = sum(is_paired for _, is_paired in differences)
         console.print(f"{paired} of {len(differences)} paired by episode", highlight=False)

@@ -353,17 +353,9 @@ def _drawn(
     # where a reset lays the rope, not where the engine left it
     points = rope.points(qpos)
     judgement = judge(points, [config.limits], code=code)
-    return judgement.faults or row_of(
-        judgement,
-        points,
-        qpos,
-        start_qpos=start,
-        actions=actions,
-        steps=len(actions),
-        seed=np.array(seed),
-        policy="drawing",
-        drawing=json.dumps(as_json(config.drawing)),
-    )
+    made = {"start_qpos": start, "actions": actions, "steps": len(actions), "seed": np.array(seed)}
+    settings = {"policy": "drawing", "drawing": json.dumps(as_json(config.drawing))}
+    return judgement.faults or row_of(judgement, points, qpos, **made, **settings)
 
 
 def _stirred(

@@ -63,9 +63,8 @@ class Entry(NamedTuple):
             results.append(result)
             yield from faults
         if not progress.quiet:
-            tasks = [task for _, task in self.config.setups()]
-            shown = self.config.task.engine, self.config.protocol, tasks
-            show(results, progress.console, *shown)
+            config, tasks = self.config, [task for _, task in self.config.setups()]
+            show(results, progress.console, config.task.engine, config.protocol, tasks)
         for number, claimed in enumerate(self.claimed, 1):
             progress.say(common.one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
 
@@ -105,12 +104,9 @@ def write_entry(
 ) -> None:
     """Write the episodes of all setups, played with all columns of steps, to a file."""
     tasks = [task for _, task in config.setups()]
-    facts = {
-        "protocol": {"config": common.as_json(config), "states": states_digests(config)},
-        "claims": claimed,
-    }
+    protocol = {"config": common.as_json(config), "states": states_digests(config)}
     parts = [episodes.recording().of_setup(number) for number, episodes in enumerate(played)]
-    write_episodes(path, parts, tasks, facts)
+    write_episodes(path, parts, tasks, {"protocol": protocol, "claims": claimed})
 
 
 def read_entry(path: Path) -> Entry | None:
@@ -145,10 +141,10 @@ def read_entry(path: Path) -> Entry | None:
     if rows.rows != len(tasks) * config.episodes:  # before there is an array of so many
         raise InvalidFile(f"{path} has {rows.rows} episodes, other than its configuration asks for")
     of_setup = np.repeat(np.arange(len(tasks)), config.episodes)
-    if not np.array_equal(rows["setup"], of_setup) or (said["tasks"], len(claimed)) != (
-        tasks,
-        len(tasks),
-    ):
+    fits = len(claimed) == len(tasks)
+    if format != OLD_ENTRY:
+        fits = fits and said["tasks"] == tasks and np.array_equal(rows["setup"], of_setup)
+    if not fits:
         raise InvalidFile(f"{path} doesn't hold the episodes that its configuration asks for")
     wrong = (steps["bead"] >= config.task.beads) | ~(np.abs(steps["force"]) <= 1).all(axis=1)
     for row in episodes.episode_of()[wrong][:1].tolist():
@@ -193,8 +189,7 @@ def acted_otherwise(
 
 def states_digests(config: EvaluateConfig) -> dict[str, str]:
     """The digests of the sets of states, by their names; own files have one name."""
-    named = [name for _, _, name in common.Mark.fields(EvaluateConfig, config, "states")]
     return {
         str(name) if is_bundled(name) else "own": common.sha256(resolve_states(name))
-        for name in named
+        for _, _, name in common.Mark.fields(EvaluateConfig, config, "states")
     }

@@ -18,18 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym import rendering, runs
-from knotgym.common import (
-    Counts,
-    Failed,
-    InvalidInput,
-    Occupied,
-    Stream,
-    atomic_write,
-    require_apart,
-    require_output,
-    sha256,
-)
+from knotgym import common, rendering, runs
+from knotgym.common import Counts, Failed, InvalidInput, Occupied, Stream, sha256
 from knotgym.control import PolicyConfig, compile_planning, make_policy, rollouts
 from knotgym.datasets import STEPS, Episodes
 from knotgym.envs import TaskConfig, task_sides
@@ -141,49 +131,26 @@ def evaluate(
         raise InvalidInput(f"a shard {wrong}")
     if video is not None:
         rendering.Film(video)
-    require_apart(out, video, record)
+    common.require_apart(out, video, record)
     _require_playable(config)
-    made_by, results, films = runs.identity(config), list[Result](), list[Episodes]()
-    plan = compile_planning if any(policy.plans for policy in config.policies) else None
-    compiles: dict[str, Any] = {"engine": config.task.engine, "plan": plan}
     both = {"video": video, "record": record}
     beside = {kind: more for kind, more in both.items() if more is not None}
-
-    def _recipe(place: Path | None) -> runs.Recipe[str]:
-        nonlocal results, films
-        for more in beside.values():
-            require_output(more, folder=False, overwrite=options.overwrite, reads=made_by.reads)
-        filmed = 0 if video is None else config.filmed
-        results, played, films = yield from _evaluation(config, filmed, record is not None)
-        # before the output, which says that all is done
-        if video is not None:
-            tasks = (task for _, task in config.setups())
-            steps = sum(episodes.steps.rows for episodes in films)
-            Counts.tell("drawing the film", Counts.from_now(), steps)
-            frames = [*chain.from_iterable(map(film, films, tasks))]
-            with atomic_write(video, overwrite=options.overwrite) as temporary:
-                rendering.Film(temporary).write(frames)
-        if record is not None:
-            with atomic_write(record, overwrite=options.overwrite) as temporary:
-                write_entry(temporary, config, played, _claims(config, results, made_by))
-        if place is not None:
-            digests = {kind: sha256(more) for kind, more in beside.items()}
-            text = json.dumps(_report(config, results, made_by, digests), indent=1)
-            # each list of numbers on one line
-            text = re.sub(r"\[[-\d\s.,]+\]", lambda numbers: " ".join(numbers[0].split()), text)
-            place.write_text(text + "\n", encoding="utf-8")
-        return f"{len(results)} results of {config.episodes} episodes each"
-
+    made_by, played = runs.identity(config), list[Evaluation]()
+    recipe = partial(_recipe, config, made_by, beside, options.overwrite, played)
+    plan = compile_planning if any(policy.plans for policy in config.policies) else None
+    compiles: dict[str, Any] = {"engine": config.task.engine, "plan": plan}
     if out is None:
         with runs.executor(options.workers) as pool:
             runs.compile_first(progress, pool, **compiles)
-            runs.compute(_recipe(None), pool=pool, progress=progress, count=reached)
+            runs.compute(recipe(None), pool=pool, progress=progress, count=reached)
     else:
         make = partial(runs.run, is_folder=False, compiles=compiles, count=reached)
-        make(_recipe, out, made_by, options, progress)
+        make(recipe, out, made_by, options, progress)
         if not options.shard.is_whole:
             return []
-        results = results or _finished(out, beside)
+        if not played:
+            played.append((_finished(out, beside), [], []))
+    ((results, _, films),) = played
     if is_shown:
         tasks = [task for _, task in config.setups()]
         show(results, progress.console, config.task.engine, config.protocol, tasks)
@@ -191,6 +158,49 @@ def evaluate(
         count = sum(episodes.episodes.rows for episodes in films)
         progress.say(f"{video}: {count} episodes")
     return results
+
+
+def _recipe(
+    config: EvaluateConfig,
+    made_by: Any,
+    beside: Mapping[str, Path],
+    overwrite: bool,
+    played: list[Evaluation],
+    place: Path | None,
+) -> runs.Recipe[str]:
+    """Evaluate, add it to `played`, and write the requested files.
+
+    Args:
+        config: of the run.
+        made_by: its identity.
+        beside: where a "video" and a "record" are written.
+        overwrite: whether these may be replaced.
+        played: an empty list.
+        place: where the result file is written; None for none.
+    """
+    for more in beside.values():
+        common.require_output(more, folder=False, overwrite=overwrite, reads=made_by.reads)
+    filmed = config.filmed if "video" in beside else 0
+    results, episodes, films = yield from _evaluation(config, filmed, "record" in beside)
+    played.append((results, episodes, films))
+    # before the output, which says that all is done
+    if "video" in beside:
+        tasks = (task for _, task in config.setups())
+        steps = sum(film_of.steps.rows for film_of in films)
+        Counts.tell("drawing the film", Counts.from_now(), steps)
+        frames = [*chain.from_iterable(map(film, films, tasks))]
+        with common.atomic_write(beside["video"], overwrite=overwrite) as temporary:
+            rendering.Film(temporary).write(frames)
+    if "record" in beside:
+        with common.atomic_write(beside["record"], overwrite=overwrite) as temporary:
+            write_entry(temporary, config, episodes, _claims(config, results, made_by))
+    if place is not None:
+        digests = {kind: sha256(more) for kind, more in beside.items()}
+        text = json.dumps(_report(config, results, made_by, digests), indent=1)
+        # each list of numbers on one line
+        text = re.sub(r"\[[-\d\s.,]+\]", lambda numbers: " ".join(numbers[0].split()), text)
+        place.write_text(text + "\n", encoding="utf-8")
+    return f"{len(results)} results of {config.episodes} episodes each"
 
 
 def _finished(out: Path, beside: Mapping[str, Path]) -> list[Result]:

@@ -48,11 +48,8 @@ def plan_of(config: ImagesConfig, states: States) -> Plan:
     quota, held_out = dict[Quota, int](), set[str]()
     each, more = divmod(config.count, len(config.nx))
     for index, nx in enumerate(config.nx):
-        codes = {
-            form_of(str(code), marked=config.marked)
-            for knot in knots
-            for code in codes_of(knot, nx)
-        }
+        every = [str(code) for knot in knots for code in codes_of(knot, nx)]
+        codes = {form_of(code, marked=config.marked) for code in every}
         if not codes:
             raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
         count = each + (index < more)

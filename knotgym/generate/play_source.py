@@ -318,18 +318,11 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
         if judgement.faults:
             continue
         kept[rope, code.nx] += 1
-        row = row_of(
-            judgement,
-            frame.points,
-            frame.qpos,
-            start_qpos=pulled.start_qpos[frame.rope],
-            steps=frame.step,
-            seed=np.array(keys[frame.rope]),
-            policy=config.source,
-            trajectory=rope,
-        )
+        start, seed = pulled.start_qpos[frame.rope], np.array(keys[frame.rope])
+        made = {"start_qpos": start, "steps": frame.step, "seed": seed}
+        made |= {"policy": config.source, "trajectory": rope}
         if played:  # those of a random walk follow from its key
-            row["source/actions"] = pulled.actions[frame.rope, : frame.step]
-        rows.append(row)
+            made["actions"] = pulled.actions[frame.rope, : frame.step]
+        rows.append(row_of(judgement, frame.points, frame.qpos, **made))
     rows.sort(key=lambda row: (row["source/trajectory"], row["source/steps"]))
     return with_report(rows, list(rejected.items()))

@@ -214,11 +214,7 @@ def show(
 
 def _acting(result: Result) -> str:
     """Name the policy, and the view that it acted in unless that is "pull"."""
-    return (
-        result.policy
-        if result.action == TaskConfig.action
-        else f"{result.policy} ({result.action})"
-    )
+    return result.policy + f" ({result.action})" * (result.action != TaskConfig.action)
 
 
 def references_of(task: TaskConfig) -> dict[str, Any]:

@@ -120,14 +120,9 @@ def states_of(
     """
     points = rows["points"]
     columns = {**rows, "split": split, "image": draw(points, PictureConfig.of(points.shape[1]))}
-    attributes = {
-        "knotgym": knotgym.__version__,
-        "mujoco": mujoco.__version__,
-        "rope": RopeConfig.of(points.shape[1]).fingerprint,
-        "engine": engine,
-        "config": config,
-    }
-    return States.of(columns, attributes)
+    versions = {"knotgym": knotgym.__version__, "mujoco": mujoco.__version__}
+    rope = RopeConfig.of(points.shape[1]).fingerprint
+    return States.of(columns, {**versions, "rope": rope, "engine": engine, "config": config})
 
 
 class Selection:

@@ -159,21 +159,18 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     # the requests: turns of episodes, or the transcripts of pictures themselves
     turns = [turn for transcript in transcripts for turn in transcript.get("turns", [transcript])]
+    reasons = [turn["rejected"].partition(":")[0] for turn in turns if turn["rejected"]]
     facts: dict[str, Any] = {
         "answers": dict(Counter(turn["fault"] or "valid" for turn in turns).most_common()),
-        "rejected": dict(
-            Counter(t["rejected"].partition(":")[0] for t in turns if t["rejected"]).most_common()
-        ),
+        "rejected": dict(Counter(reasons).most_common()),
         "truncated": sum(turn["finish"] == "length" for turn in turns),
         "retries": dict(sum((Counter(turn["retries"]) for turn in turns), Counter())),
         **{name: total(transcripts, name) for name in TOKENS},
     }
     if "actions" not in transcripts[0]:
         return {"pictures": len(transcripts), **facts}
-    names = ("success", "start", "goal")
-    success, starts, goals = (
-        [int(transcript[name]) for transcript in transcripts] for name in names
-    )
+    columns = ([int(t[name]) for t in transcripts] for name in ("success", "start", "goal"))
+    success, starts, goals = columns
     return {
         "episodes": len(transcripts),
         "successes": sum(success),
@@ -210,12 +207,13 @@ def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[s
         scores = read is not None and read.matches(code), read is not None and read.nx == code.nx
         for key in ("all", f"nx {code.nx}", str(transcript["grade"])):
             groups.setdefault(key, []).append(scores)
+    # all, then by nx, then by grade from easy to hard
+    grades = {grade: str(place) for place, grade in enumerate(GRADES)}
+    order = sorted(groups, key=lambda key: (key != "all", key in grades, grades.get(key, key)))
+    means = {key: np.mean(groups[key], axis=0).tolist() for key in order}
     return {
-        key: {
-            "pictures": len(rows),
-            **dict(zip(_HEAD[2:], np.mean(rows, axis=0).tolist(), strict=True)),
-        }
-        for key, rows in sorted(groups.items(), key=lambda item: _by_kind(item[0]))
+        key: {"pictures": len(groups[key]), "exact": exact, "crossings": crossings}
+        for key, (exact, crossings) in means.items()
     }
 
 
@@ -225,9 +223,3 @@ def reading_table(scores: Mapping[str, Mapping[str, float]]) -> list[tuple[str, 
         (key, f"{means['pictures']:.0f}", *(f"{100 * means[name]:.1f} %" for name in _HEAD[2:]))
         for key, means in scores.items()
     ]
-
-
-def _by_kind(key: str) -> tuple[int, int, str]:
-    """Sort key: all, then by nx, then by grade from easy to hard."""
-    kind = 0 if key == "all" else 1 if key.startswith("nx") else 2
-    return kind, GRADES.index(key) if key in GRADES else 0, key

@@ -178,7 +178,8 @@ class PullPlayer(Player):
             state = batch.simulation.states([index])[0]
             left = int(batch.task.horizon - batch.steps[index])
             budget = int(config.budget - self._spent[index])
-            made = search.checked(self._searches.check, self._in_chain, state, left, budget)
+            in_chain = partial(self._searches.in_chain, ids=np.zeros(1, np.int64))
+            made = search.checked(self._searches.check, in_chain, state, left, budget)
             self._searches.start(index, made, self._decided, config.batch_size)
 
     def _decided(self, index: int, plan: PullPlan) -> None:
@@ -193,10 +194,6 @@ class PullPlayer(Player):
             if self._plans[index]:
                 beads[row], forces[row] = self._plans[index].pop()
         return beads, forces
-
-    def _in_chain(self, check: Simulation) -> tuple[Array, Array]:
-        states, points = self._searches.in_chain(check, np.zeros(1, np.int64))
-        return states[0], points[0]
 
 
 class PassPlayer(Player):

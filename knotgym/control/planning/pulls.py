@@ -297,7 +297,7 @@ class PullSearch:
 
         Args:
             check: one rope of that engine; overwritten, also between the trials of this search.
-            in_chain: from it, its state in the chain engine, and its points (beads, 3).
+            in_chain: from it, its state in the chain engine, and its points (1, beads, 3).
             state: of that rope, to start from.
             steps: most pulls of the plan.
             budget: most pulls to simulate, of both engines.
@@ -309,7 +309,8 @@ class PullSearch:
         while spent + most <= budget and steps > 0:
             check.restore(here.state[None])
             left = min(look, budget - spent)
-            made = yield from self.plan(*in_chain(check), steps - here.steps, left)
+            (chain_state,), (points,) = in_chain(check)
+            made = yield from self.plan(chain_state, points, steps - here.steps, left)
             spent += made.spent
             if not made.solved and spent + most <= budget:
                 # too few pulls are left from here, or the goal is hard to find
