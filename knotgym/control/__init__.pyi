@@ -7,6 +7,7 @@ from .planning.passes import PassValues as PassValues
 from .planning.passes import TriedPass as TriedPass
 from .planning.pulls import PullSearch as PullSearch
 from .planning.sights import Sight as Sight
+from .policies import PolicyFamily as PolicyFamily
 from .policies import compile_planning as compile_planning
 from .policies import make_policy as make_policy
 from .policies import register_policy as register_policy
@@ -16,6 +17,5 @@ from .policy_config import PullPlannerConfig as PullPlannerConfig
 from .recorded_policy import replay as replay
 from .sampler import Player as Player
 from .sampler import Policy as Policy
-from .sampler import PolicyFamily as PolicyFamily
 from .sampler import Pulls as Pulls
 from .sampler import rollouts as rollouts

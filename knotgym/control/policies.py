@@ -21,8 +21,9 @@ it.
 """
 
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -33,11 +34,35 @@ from knotgym.common import InvalidPolicy, KnotgymError, one_line
 from knotgym.control.planning.passes import PassValues
 from knotgym.control.planning.planners import PassPlayer, PullPlayer, chooses_pulls
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.sampler import Player, Policy, PolicyFamily, SimplePolicy, rollouts
+from knotgym.control.sampler import Player, Policy, SimplePolicy, rollouts
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import CHAIN
 
 GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyFamily:
+    """A row of the table of policies: a single name, or all names of some form.
+
+    Attributes:
+        form: the name, or what such names look like, for error messages.
+        make: make the policy, or raise InvalidPolicy.
+        matches: tell whether a name has this form. Must be cheap; what the name refers to need not
+            exist. None for the single name `form`.
+        files: name -> the files that decide how the policy acts, by the names used for them in
+            results.
+        card: name -> facts about the policy's training, or None if it has none.
+        plans: whether it searches, so that an episode takes far longer than its pulls.
+    """
+
+    form: str
+    make: Callable[[PolicyConfig], Policy]
+    matches: Callable[[str], bool] | None = None
+    files: Callable[[str], Mapping[str, Path]] = lambda name: {}
+    card: Callable[[str], dict[str, Any] | None] = lambda name: None
+    plans: bool = False
+
 
 _table: dict[str, PolicyFamily] = {}  # by form, in the order in which names are looked up
 

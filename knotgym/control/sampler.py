@@ -13,14 +13,12 @@ alone; then `python benchmarks/golden.py --compare tests/data/golden.json`: noth
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Counts, Ids, InvalidInput, InvalidPolicy, Schema, Stream, Table, padded
-from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets import MACROS, STEPS, Episodes
 from knotgym.envs import EpisodeBatch, TaskConfig
 
@@ -109,29 +107,6 @@ class SimplePolicy:
     compatible_task: Callable[[TaskConfig], TaskConfig] = lambda task: task
 
 
-@dataclass(frozen=True, kw_only=True)
-class PolicyFamily:
-    """A row of the table of policies: a single name, or all names of some form.
-
-    Attributes:
-        form: the name, or what such names look like, for error messages.
-        make: make the policy, or raise InvalidPolicy.
-        matches: tell whether a name has this form. Must be cheap; what the name refers to need not
-            exist. None for the single name `form`.
-        files: name -> the files that decide how the policy acts, by the names used for them in
-            results.
-        card: name -> facts about the policy's training, or None if it has none.
-        plans: whether it searches, so that an episode takes far longer than its pulls.
-    """
-
-    form: str
-    make: Callable[[PolicyConfig], Policy]
-    matches: Callable[[str], bool] | None = None
-    files: Callable[[str], Mapping[str, Path]] = lambda name: {}
-    card: Callable[[str], dict[str, Any] | None] = lambda name: None
-    plans: bool = False
-
-
 def rollouts(
     policy: Policy,
     task: TaskConfig,
@@ -160,12 +135,9 @@ def rollouts(
         InvalidPolicy: the policy doesn't fit the task, or its pulls aren't valid.
     """
     task = policy.compatible_task(task)
-    todo = seeds.rows if isinstance(seeds, Table) else len(seeds)
-    if not todo:
-        seeds, todo = [0], 1  # a batch has at least one rope; its episode isn't returned
-        # its columns have the widths of the task, which only a batch knows
-        more: dict[str, Any] = {"keep": keep, "attempt": attempt, "adviser": adviser}
-        return rollouts(policy, task, seeds, columns=columns, **more).select([])
+    wanted = seeds.rows if isinstance(seeds, Table) else len(seeds)
+    seeds = seeds if wanted else [0]  # a batch has at least one rope
+    todo = max(1, wanted)
     most = _MOST_BYTES // ((task.horizon + 1) * (12 * task.beads + 256))  # all steps kept
     batch = EpisodeBatch(task, max(1, min(lanes, todo, most)))
     coming = _Coming(batch, seeds)
@@ -183,7 +155,7 @@ def rollouts(
             record.begin(ids)
         playing = np.flatnonzero(batch.number >= 0)
         if not len(playing):
-            return record.whole()
+            return record.whole() if wanted else record.whole().select([])
         # copies go in and come out: a player may keep, change and reuse its arrays
         pulls = _checked(player.act(playing.copy()), playing, batch, policy.name)
         # every lane plans; asking again lets their searches go on
@@ -208,12 +180,11 @@ def rollouts(
 def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pulls:
     """Return a copy of a player's pulls, if they can be made."""
     try:
-        count = len(pulls.ids)
-        arrays: list[Any] = [(pulls.ids, np.int64, ()), (pulls.beads, np.int64, ())]
-        arrays.append((pulls.forces, np.float32, (3,)))
-        if pulls.macros is not None:
-            arrays.append((pulls.macros, np.int64, (4,)))
-        fits = all(a.dtype == kind and a.shape == (count, *row) for a, kind, row in arrays)
+        n, arrays = len(pulls.ids), [pulls.ids, pulls.beads]
+        arrays += [] if pulls.macros is None else [pulls.macros]
+        fits = all(array.dtype == np.int64 for array in arrays)
+        fits = fits and [a.shape for a in arrays] == [(n,), (n,), (n, 4)][: len(arrays)]
+        fits = fits and pulls.forces.dtype == np.float32 and pulls.forces.shape == (n, 3)
         # in increasing order, and among those that were asked
         fits = fits and bool(np.array_equal(pulls.ids, playing[np.isin(playing, pulls.ids)]))
         fits = fits and bool((np.abs(pulls.forces) <= 1).all())
@@ -226,8 +197,8 @@ def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pull
             " int64 (n,), forces float32 (n, 3) in [-1, 1]"
         )
     macros = None if pulls.macros is None else pulls.macros.copy()
-    given = {name: np.array(values) for name, values in (pulls.given or {}).items()}
-    return Pulls(pulls.ids.copy(), pulls.beads.copy(), pulls.forces.copy(), macros, given)
+    others = {name: np.array(values) for name, values in (pulls.given or {}).items()}
+    return Pulls(pulls.ids.copy(), pulls.beads.copy(), pulls.forces.copy(), macros, others)
 
 
 class _Coming:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidPolicy, Stream, Table
 from knotgym.control import policies
 from knotgym.control.own_policies import own_policy
-from knotgym.control.policies import make_policy, register_policy
+from knotgym.control.policies import PolicyFamily, make_policy, register_policy
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
 from knotgym.control.recorded_policy import replay
-from knotgym.control.sampler import PolicyFamily, Pulls, SimplePolicy, rollouts
+from knotgym.control.sampler import Pulls, SimplePolicy, rollouts
 from knotgym.datasets import PULLS, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.states import States

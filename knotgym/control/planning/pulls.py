@@ -180,16 +180,18 @@ class _Met:
     """A code that was met.
 
     Attributes:
-        number: of codes met before it.
         distance: to the goal.
         left: estimated pulls to the goal.
+        length: estimated pulls of an episode through it.
+        weight: that it has when a code is drawn.
         nodes: states that show it.
         tries: macro-actions from states of the code.
     """
 
-    number: int
     distance: float
     left: float
+    length: float = 0.0
+    weight: float = 0.0
     nodes: list[_Node] = field(default_factory=list)
     tries: int = 0
 
@@ -205,9 +207,7 @@ class _Pool:
         """Take a guide, and whether crossings stand for hops that aren't known."""
         self._guide, self._nx_as_hops = guide, nx_as_hops
         self.met = dict[GaussCode, _Met]()
-        # by number of a code: pulls of an episode through it, and its weight, which falls with them
-        self._lengths, self._weights = list[float](), list[float]()
-        self._shortest = math.inf
+        self._shortest = math.inf  # of the lengths
 
     def add(self, node: _Node, most: float = math.inf) -> None:
         """Add a state, unless the goal can't be reached through it within `most` pulls.
@@ -220,16 +220,13 @@ class _Pool:
         if node.steps + _LEAST_STRIDE * hops > most:
             return
         if code not in self.met:
-            number, distance = len(self.met), self._guide.distance(code)
-            self.met[code] = _Met(number, distance, _STRIDE * hops)
-            self._lengths.append(0.0)
-            self._weights.append(0.0)
+            self.met[code] = _Met(self._guide.distance(code), _STRIDE * hops)
         met = self.met[code]
         met.nodes.append(node)
         if len(met.nodes) > _KEPT:
             met.nodes.remove(max(met.nodes, key=lambda node: node.steps + _TRY_COST * node.tries))
         # computed again, since the state dropped may have been the earliest
-        self._lengths[met.number] = min(node.steps for node in met.nodes) + met.left
+        met.length = min(node.steps for node in met.nodes) + met.left
         self._weigh(met)
 
     def _weigh(self, met: _Met) -> None:
@@ -238,20 +235,17 @@ class _Pool:
         # and with the estimated length of an episode through it (patience). Lengths are compared to
         # the shortest one, which keeps the exponentials from underflowing.
         # Python's powers and exponentials, because NumPy's round by processor.
-        self._weights[met.number] = (
-            (1 + met.distance) ** -_GREED
-            / (1 + met.tries / _WEARINESS)
-            * math.exp((self._shortest - self._lengths[met.number]) / _PATIENCE)
-        )
+        worth = (1 + met.distance) ** -_GREED / (1 + met.tries / _WEARINESS)
+        met.weight = worth * math.exp((self._shortest - met.length) / _PATIENCE)
 
     def choose(self, rng: np.random.Generator) -> _Node:
         """Draw a code, then a state that shows it, and count the try."""
         every = [*self.met.values()]
-        if (shortest := min(self._lengths)) != self._shortest:
+        if (shortest := min(met.length for met in every)) != self._shortest:
             self._shortest = shortest
             for met in every:
                 self._weigh(met)
-        met = every[_drawn_index(np.array(self._weights), rng)]
+        met = every[_drawn_index(np.array([met.weight for met in every]), rng)]
         # among the code's states: early ones, and ones tried less often
         fresh = [math.exp(-node.steps / _PATIENCE) / (1 + node.tries) for node in met.nodes]
         node = met.nodes[_drawn_index(np.array(fresh), rng)]
