@@ -166,8 +166,7 @@ def rollouts(
         record.after(pulls.ids, *outcome)
         over = pulls.ids[outcome.terminated | outcome.truncated]
         for index in over.tolist():
-            planned = int(player.planned[index])
-            planned += int(advice.planned[index]) if advice is not None else 0
+            planned = sum(int(by.planned[index]) for by in (player, advice) if by is not None)
             names = getattr(player, "names", None)
             record.end(index, policy.name if names is None else str(names[index]), planned)
         # an episode that goes on counts by its share of the horizon
