@@ -92,10 +92,10 @@ def _code_list(
         raise InvalidInput(f"--codes {path}, {error}") from None
     if len(listed) > MOST_CODES:
         raise InvalidInput(f"--codes {path} has more than {MOST_CODES} codes: split it")
-    kept = [code for code in listed if nx is None or code.nx in nx]
-    if not kept:
+    chosen = [code for code in listed if nx is None or code.nx in nx]
+    if not chosen:
         of = "" if nx is None else f" with nx {', '.join(map(str, nx))}"
         raise InvalidInput(f"--codes {path} contains no code{of}")
-    if count is None or count >= len(kept):
-        return kept
-    return [kept[row] for row in sorted(rng.choice(len(kept), count, replace=False))]
+    if count is None or count >= len(chosen):
+        return chosen
+    return [chosen[row] for row in sorted(rng.choice(len(chosen), count, replace=False))]

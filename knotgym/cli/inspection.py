@@ -32,8 +32,8 @@ _FACTS = TextWrapper(
 
 def print_summary(named: str, console: Console) -> None:
     """Print a summary of a dataset, or of a folder that a package with commands shows."""
-    if kept := shown(named):
-        facts, rows = kept
+    if shown_by := shown(named):
+        facts, rows = shown_by
         _print_facts(facts, console)
         if rows:
             _print_table(rows, rows[0][:1], None, console)

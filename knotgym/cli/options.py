@@ -227,8 +227,8 @@ class Given:
             tree = {k: v for k, v in self.settings.items() if k not in self.sections}
         above = _nested(more or {})
         # `above` would replace what isn't an object, and nobody would notice
-        held = tree if isinstance(tree, Mapping) else {}
-        inner = {k: held.get(k, {}) for k, v in above.items() if isinstance(v, dict)}
+        base = tree if isinstance(tree, Mapping) else {}
+        inner = {k: base.get(k, {}) for k, v in above.items() if isinstance(v, dict)}
         for name, part in {section: tree, **inner}.items():
             if not isinstance(part, Mapping):
                 path = next(path for path in self.known if path.startswith(f"{name}."))

@@ -345,11 +345,11 @@ class _Record:
         """Copy the rows of the episode in a lane, which is over."""
         batch, number = self._batch, int(self._batch.number[index])
         length = int(batch.steps[index])
-        for name, kept in self._steps.items():
+        for name, column in self._steps.items():
             if name not in self._states:
-                kept[index, length] = 0  # no pull is made in the last state
+                column[index, length] = 0  # no pull is made in the last state
         self._parts[number] = {
-            name: kept[index, : length + 1].copy() for name, kept in self._steps.items()
+            name: column[index, : length + 1].copy() for name, column in self._steps.items()
         }
         hold = int(batch.hold[index])
         row = {

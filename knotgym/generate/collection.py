@@ -188,13 +188,13 @@ def _first_steps(parts: list[Episodes], steps: int) -> list[Episodes]:
     """Cut off the episodes that aren't needed for so many steps."""
     lengths = np.concatenate([part.episodes["length"] for part in parts])
     needed = int(np.searchsorted(np.cumsum(lengths), steps)) + 1
-    kept = list[Episodes]()
+    parts_kept = list[Episodes]()
     for part in parts:
         if needed < part.episodes.rows:
-            return [*kept, *[part.select(np.arange(needed))] * (needed > 0)]
-        kept.append(part)
+            return [*parts_kept, *[part.select(np.arange(needed))] * (needed > 0)]
+        parts_kept.append(part)
         needed -= part.episodes.rows
-    return kept
+    return parts_kept
 
 
 def _play(
@@ -266,9 +266,9 @@ def _total(parts: Sequence[Episodes], keep_failed: bool) -> dict[str, int]:
     names = ("success", "length", "planner_steps", "diverged")
     every = ([part.episodes[name] for part in parts] for name in names)
     success, lengths, planned, failed = map(np.concatenate, every)
-    kept = success | keep_failed
-    counts = {"played": kept.size, "succeeded": success.sum(), "kept": kept.sum()}
-    counts |= {"steps": lengths[kept].sum(), "planned": planned.sum(), "failed": failed.sum()}
+    is_kept = success | keep_failed
+    counts = {"played": is_kept.size, "succeeded": success.sum(), "kept": is_kept.sum()}
+    counts |= {"steps": lengths[is_kept].sum(), "planned": planned.sum(), "failed": failed.sum()}
     return {name: int(count) for name, count in counts.items()}
 
 

@@ -161,7 +161,7 @@ def drawn_rows(
     selection = Selection(apart_from)
     # by nx and index; `made_before`: drawings until a code's last state was kept
     made, reserved, made_before = (Counter[tuple[int, int]]() for _ in range(3))
-    kept = defaultdict[tuple[int, int], list[Array]](list)
+    points_of = defaultdict[tuple[int, int], list[Array]](list)
     while needed := {
         (nx, index): lacking for nx, of in codes.items() for index, lacking in of._lacking().items()
     }:
@@ -177,7 +177,7 @@ def drawn_rows(
             # Numbers of drawings are reserved before they are made, so the same drawing never goes
             # to two calls.
             first, most = reserved[nx, index], _DRAWINGS * wanted // sharing
-            there = np.array(kept[nx, index])
+            there = np.array(points_of[nx, index])
             orders.append(_Order(codes[nx][index], index, first, most, wanted, there))
             reserved[nx, index] += most
         size = min(_CODES, -(-len(orders) // CALLS))
@@ -201,7 +201,7 @@ def drawn_rows(
                     codes[nx].have[index] += 1
                     needed[nx, index] -= 1
                     made_before[nx, index] = made[nx, index]
-                    kept[nx, index].append(rows["points"][row])
+                    points_of[nx, index].append(rows["points"][row])
         for (nx, index), lacking in needed.items():
             if made[nx, index] - made_before[nx, index] >= config.attempts * lacking > 0:
                 codes[nx].given_up.add(index)

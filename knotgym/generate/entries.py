@@ -92,8 +92,8 @@ class Entry(NamedTuple):
                     drawn = stored.select(np.arange(len(some)))
                     Counts.tell("episodes played again", Counts.from_now(), len(some))
                     if (row := acted_otherwise(policy, task, drawn, some)) is not None:
-                        what = f"{policy.policy}, played again, pulls otherwise"
-                        faults.append(f"setup {number + 1}, episode {first + row}: {what}")
+                        fault = f"{policy.policy}, played again, pulls otherwise"
+                        faults.append(f"setup {number + 1}, episode {first + row}: {fault}")
                 action = str(claimed.get("action", ""))
                 played = Episodes.merged([Episodes.of(part) for part in made]).episodes
                 yield Result.of(policy.policy, action, task, played), faults

@@ -90,9 +90,9 @@ class CollectConfig:
         policy, expert = control.make_policy(self.policy), replace(self.policy, policy="expert")
         adviser = control.make_policy(expert) if self.labels else None
         seeds = [Stream.EPISODE.derived_seed(seed, number) for number in numbers]
-        kept = datasets.PULLS if self.form == "recording" else datasets.STEPS
+        keep = datasets.PULLS if self.form == "recording" else datasets.STEPS
         more = {"adviser": adviser, "columns": columns}
-        return control.rollouts(policy, self.policy_task, seeds, keep=kept, **more)
+        return control.rollouts(policy, self.policy_task, seeds, keep=keep, **more)
 
 
 def _tow_limit(task: str) -> Any:

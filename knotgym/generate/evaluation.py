@@ -209,9 +209,9 @@ def _finished(out: Path, beside: Mapping[str, Path]) -> list[Result]:
         known = dict(content.get("beside", {}))
     for kind, more in beside.items():
         if not more.is_file() or sha256(more) != known.get(kind):
-            what = "is another's" if os.path.lexists(more) else "isn't there"
+            fault = "is another's" if os.path.lexists(more) else "isn't there"
             raise Occupied(
-                f"{out} is finished already, but {more} {what}; --overwrite without --resume makes"
+                f"{out} is finished already, but {more} {fault}; --overwrite without --resume makes"
                 " both again"
             )
     return results

@@ -106,8 +106,8 @@ def _pictures(config: ImagesConfig, plan: Plan, made: dict[str, Any], place: Pat
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
     finish_pictures(place, pictures.report(), made)
-    held = f"; all of nx {', '.join(map(str, config.held_nx))} in split test-nx"
-    return f"{len(pictures.chosen)} pictures{held if config.held_nx else ''}"
+    held_out = f"; all of nx {', '.join(map(str, config.held_nx))} in split test-nx"
+    return f"{len(pictures.chosen)} pictures{held_out if config.held_nx else ''}"
 
 
 def _drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> Result:
@@ -371,8 +371,8 @@ def _frames_of(
         rng = Stream.IMAGE_CHOICE.generator(config.seed, number, pulls)
         symmetries = rng.integers((2, 2, 2, len(points)), size=(_SYMMETRIES, 4))
         codes = _shown(points, crossings, symmetries, config)
-        kept = points, number, pulls, crossings.nx, quality.ease()
-        rows.append((*kept, symmetries, codes, sight))
+        shown = points, number, pulls, crossings.nx, quality.ease()
+        rows.append((*shown, symmetries, codes, sight))
     columns = zip(_FRAME.items(), zip(*rows, strict=True) if rows else [()] * 8, strict=True)
     return {
         **{name: np.array(values, kind) for (name, kind), values in columns},
@@ -398,8 +398,8 @@ def _observed(
         turns = [k for k, rope in enumerate(ropes) if rope.number % len(config.policies) == turn]
         seeds = [Stream.IMAGE_WALK.derived_seed(config.seed, ropes[k].number) for k in turns]
         starts = Episodes.to_begin(start_qpos[turns], np.array(seeds, np.int64))
-        acting, kept = make_policy(PolicyConfig(policy=policy)), STEPS.only("observation")
-        played = rollouts(acting, task, starts, lanes=max(1, len(turns)), keep=kept)
+        acting, seen = make_policy(PolicyConfig(policy=policy)), STEPS.only("observation")
+        played = rollouts(acting, task, starts, lanes=max(1, len(turns)), keep=seen)
         lengths = played.episodes["length"].tolist()
         for index, first, length in zip(turns, played.offsets.tolist(), lengths, strict=False):
             for pulls in range(config.stride, length + 1, config.stride):

@@ -306,18 +306,18 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
     played = config.source == _READABLE
     limits = [config.limits, config.twist] if played else [config.twist]
     rejected = {nx: Counter[str]() for nx in config.nx}
-    kept, rows = Counter[tuple[int, int]](), list[dict[str, Any]]()
+    states_of, rows = Counter[tuple[int, int]](), list[dict[str, Any]]()
     codes = label_many(np.array([frame.points for frame in pulled.frames])) if pulled.frames else []
     for frame, code in zip(pulled.frames, codes, strict=True):
         rope = ropes[frame.rope]
         wanted = (code.nx, _split_of(config, rope)) in lacking
-        if not wanted or kept[rope, code.nx] == pulls.per_rope:
+        if not wanted or states_of[rope, code.nx] == pulls.per_rope:
             continue
         judgement = judge(frame.points, limits)
         rejected[code.nx].update(judgement.faults)
         if judgement.faults:
             continue
-        kept[rope, code.nx] += 1
+        states_of[rope, code.nx] += 1
         start, seed = pulled.start_qpos[frame.rope], np.array(keys[frame.rope])
         made = {"start_qpos": start, "steps": frame.step, "seed": seed}
         made |= {"policy": config.source, "trajectory": rope}

@@ -197,8 +197,8 @@ def _describe_set(made: Path) -> dict[str, Any]:
         config, versions = run_facts(made)["config"], run_facts(made)["versions"]
         policy, seed = config["policy"]["policy"], config["seed"]
     except (KnotgymError, KeyError, TypeError) as error:
-        what = f"{made} is none of the suite's sets"
-        raise InvalidInput(f"{what} ({one_line(error)}); remove it") from error
+        fault = f"{made} is none of the suite's sets"
+        raise InvalidInput(f"{fault} ({one_line(error)}); remove it") from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
     digests, agreement = dataset.digests, "no"
     known_values = DIGESTS.get(dataset.name, {}).get("values")

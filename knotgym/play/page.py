@@ -190,5 +190,5 @@ def _require_port(port: int) -> None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((_HOST, port))
     except OSError as error:
-        what = f"can't serve on port {port}: {one_line(error)}"
-        raise Failed(f"{what}; choose another with --port") from error
+        fault = f"can't serve on port {port}: {one_line(error)}"
+        raise Failed(f"{fault}; choose another with --port") from error

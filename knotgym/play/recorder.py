@@ -94,8 +94,8 @@ class Recorder:
         staging = staged(self.folder, whole, RunOptions(resume=True))
         _, self._journal = self._stack.enter_context(staging)
         for key in [*self._journal]:
-            number, kept = int(key.removeprefix(_KEY)), self._journal[key]
-            rows = zip(*kept.values(), strict=True)
+            number, columns = int(key.removeprefix(_KEY)), self._journal[key]
+            rows = zip(*columns.values(), strict=True)
             pulls = [HandPull(int(bead), force, bool(helped)) for bead, force, helped in rows]
             # it may have been stored just before the program was killed
             stored = self._seed_of(number) in self._seeds

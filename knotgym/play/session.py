@@ -98,9 +98,9 @@ class Session:
 
     def undo(self) -> None:
         """Take back the last pull."""
-        kept = self.pulls[:-1]
+        earlier = self.pulls[:-1]
         self.begin(self.number)
-        for pull in kept:
+        for pull in earlier:
             self._take(pull)
 
     def let_act(self, policy: PolicyConfig) -> None:

@@ -202,13 +202,13 @@ def _packed(reply: Mapping[str, Any]) -> Result:
     return {"reply": np.frombuffer(json.dumps(reply).encode(), dtype=np.uint8)}
 
 
-def _unpacked(kept: Result) -> dict[str, Any]:
+def _unpacked(packed: Result) -> dict[str, Any]:
     """Unpack a reply that `_packed` packed."""
-    return dict(json.loads(bytes(kept["reply"])))
+    return dict(json.loads(bytes(packed["reply"])))
 
 
-def _retries(kept: Result) -> dict[str, int]:
-    return {"retries": sum(_unpacked(kept)["retries"].values())}
+def _retries(packed: Result) -> dict[str, int]:
+    return {"retries": sum(_unpacked(packed)["retries"].values())}
 
 
 def _flat(config: PromptConfig) -> dict[str, Any]:
@@ -247,9 +247,9 @@ def _replies(
 
 def _answer(reply: Mapping[str, Any], fault: str) -> dict[str, Any]:
     """Return the fields of a transcript that describe a reply; its own fault comes first."""
-    kept = ("reasoning", "rejected", "finish", "retries", *TOKENS)
+    names = ("reasoning", "rejected", "finish", "retries", *TOKENS)
     whole = {"answer": reply["text"], "fault": reply["fault"] or fault}
-    return whole | {name: reply[name] for name in kept}
+    return whole | {name: reply[name] for name in names}
 
 
 def _pictures(

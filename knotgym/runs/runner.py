@@ -314,16 +314,16 @@ def _complete(
 ) -> None:
     """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
     left, done, total = [], 0, sum(call.items for call in calls)
-    ended, kept, begun = Counts.from_now(pool=pool), 0, 0
+    ended, remembered, begun = Counts.from_now(pool=pool), 0, 0
 
     def _by_now() -> float:
         # calls may count the items that they have ended, and a call that is finished counts as all
-        finished = done - kept
+        finished = done - remembered
         return done + max(0, min(begun, ended()) - finished)
 
     for call in calls:
         if call.key in memo:
-            done, kept = done + call.items, kept + call.items
+            done, remembered = done + call.items, remembered + call.items
             show(call, _by_now, total, memo[call.key])
         else:
             left.append(call)

@@ -221,8 +221,8 @@ class Moves:
         # Symmetries that leave `shown` as it is leave all values as they are. So one image of each
         # class is computed, and the others are read off. Every goal has such a symmetry,
         # because a reflection changes only chirality.
-        kept = [k for k in range(IMAGES) if (shown == shown[self._image[k]]).all()]
-        first = [k for k in range(IMAGES) if k == min(k ^ symmetry for symmetry in kept)]
+        symmetries = [k for k in range(IMAGES) if (shown == shown[self._image[k]]).all()]
+        first = [k for k in range(IMAGES) if k == min(k ^ symmetry for symmetry in symmetries)]
         values = shown
         for _ in range(sweeps if len(self.start) else 0):
             new = shown.copy()
@@ -233,7 +233,7 @@ class Moves:
                 sums = np.add.reduceat(chance * values[self.after[k]], self.start)
                 np.maximum.at(new, self.before[k][self.start], sums)
             # each class of images has one value: the largest that any of its members was given
-            new = np.max([new[self._image[symmetry]] for symmetry in kept], axis=0)
+            new = np.max([new[self._image[symmetry]] for symmetry in symmetries], axis=0)
             # Values only rise from sweep to sweep and depend on nothing else, so equal ones stay
             # for good.
             if (new == values).all():

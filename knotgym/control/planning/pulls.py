@@ -400,19 +400,19 @@ class PullSearch:
         Returns the states on the way, and whether the last `hold` of them show the goal.
         """
         check.restore(here.state[None])
-        nodes, held = list[_Node](), 0
-        while held < self.hold and len(nodes) < (steps if held else min(steps, len(made.beads))):
+        nodes, shown = list[_Node](), 0
+        while shown < self.hold and len(nodes) < (steps if shown else min(steps, len(made.beads))):
             bead, force = np.zeros(1, np.int64), np.zeros((1, 3), np.float32)  # a rest
-            if not held:
+            if not shown:
                 at = slice(len(nodes), len(nodes) + 1)
                 bead, force = made.beads[at], made.forces[at]
             stable = check.step(bead, force.astype(np.float64) * check.max_force)[0]
             if not stable or (self.bound is not None and self.bound.exceeded(check.points)[0]):
                 break
             here = _node_of(check, here, bead, force)
-            held = held + 1 if here.code.matches(self.goal) else 0
+            shown = shown + 1 if here.code.matches(self.goal) else 0
             nodes.append(here)
-        return nodes, held == self.hold
+        return nodes, shown == self.hold
 
 
 def _node_of(check: Simulation, before: _Node | None = None, *pull: NDArray[np.generic]) -> _Node:
