@@ -63,12 +63,12 @@ class GoalBatch(EpisodeBatch):
     def reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
         """Return the task's rewards of goals (..., 1 + SYMBOLS): success where equal ones count."""
         pair = np.broadcast_arrays(achieved_goal, desired_goal)
-        achieved, desired = (one.reshape(-1, 1 + _SYMBOLS) for one in pair)
+        achieved, desired = (goals.reshape(-1, 1 + _SYMBOLS) for goals in pair)
         counts = (achieved[:, 0] == 1) & (desired[:, 0] == 1)
         held = counts & Situation.shown(self.task, achieved[:, 1:], desired[:, 1:])
         # hold is 1, and no failure is paid: which step it is, and whether it failed, don't matter
-        one = np.ones(len(held), dtype=np.int64)
-        seen = Situation(achieved[:, 1:], desired[:, 1:], held.astype(np.int64), 1, one)
+        first = np.ones(len(held), dtype=np.int64)
+        seen = Situation(achieved[:, 1:], desired[:, 1:], held.astype(np.int64), 1, first)
         rewards = seen.outcome(self.task).rewards.reshape(pair[0].shape[:-1])
         return rewards if rewards.ndim else float(rewards)
 

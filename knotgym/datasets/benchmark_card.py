@@ -27,8 +27,8 @@ def suite_card(report: Mapping[str, Any], references: Sequence[Sequence[object]]
     return filled_template(
         "suite_card.md",
         count=len(sets),
-        episodes=sum(one["episodes"] for one in sets.values()),
-        steps=sum(one["steps"] for one in sets.values()),
+        episodes=sum(facts["episodes"] for facts in sets.values()),
+        steps=sum(facts["steps"] for facts in sets.values()),
         version=report["knotgym"],
         seed=report["seed"],
         sets=table(head, rows),

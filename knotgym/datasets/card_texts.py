@@ -67,7 +67,7 @@ def filled_card(
     template: str, tables: Mapping[str, "CardTable"], config: Mapping[str, Any], **parts: object
 ) -> str:
     """Fill a template with tables and parts, and with what a run was asked for and made by."""
-    markdown = {name.replace(" ", "_"): one._markdown() for name, one in tables.items()}
+    markdown = {name.replace(" ", "_"): table._markdown() for name, table in tables.items()}
     versions = {"version": knotgym.__version__, "mujoco": mujoco.__version__}
     asked = {"seed": config["seed"], "config": json.dumps(config, indent=1, sort_keys=True)}
     return filled_template(template, **markdown, **versions, **asked, **parts)
@@ -136,9 +136,9 @@ def counted(
 def measured(measures: Mapping[str, tuple[str, NDArray[Any]]]) -> CardTable:
     """Return the least, median and largest value of each measure, name -> unit and values (n,)."""
     rows = [
-        (name, unit, *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
-        for name, (unit, own) in measures.items()
-        if len(own)
+        (name, unit, *(f"{value:.3g}" for value in np.quantile(values, [0, 0.5, 1])))
+        for name, (unit, values) in measures.items()
+        if len(values)
     ]
     return CardTable.of("quality", rows)
 
@@ -149,4 +149,4 @@ def table(head: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]
     >>> table(("nx", "states"), [(3, 40)])
     ['| nx | states |', '| --- | --- |', '| 3 | 40 |']
     """
-    return [f"| {' | '.join(map(str, one))} |" for one in (head, ["---"] * len(head), *rows)]
+    return [f"| {' | '.join(map(str, cells))} |" for cells in (head, ["---"] * len(head), *rows)]

@@ -27,7 +27,7 @@ def write_croissant(folder: Path, name: str, description: str, appearance: str =
     fixed = [json.loads(text.read_text("utf-8")) for text in texts if text.is_file()]
     paths = [path.relative_to(folder) for path in sorted(folder.glob("data/**/*.parquet"))]
     described = {
-        **{field: one for part in fixed for field, one in part.items()},
+        **{field: value for part in fixed for field, value in part.items()},
         "name": re.sub(r"[^\w-]+", "-", name),
         "description": description,
         "citeAs": BIBTEX,
@@ -52,9 +52,9 @@ def _records(folder: Path, path: Path) -> dict[str, Any]:
     split, _, shard = path.stem.partition("-")
     where = f"{path.parent.name}/{split}" + ("" if shard.startswith("00000") else f"-{shard}")
     fields = [
-        _field(where, path.as_posix(), one, parent)
+        _field(where, path.as_posix(), member, parent)
         for column in parquet.schema_arrow
-        for one, parent in _members(column)
+        for member, parent in _members(column)
     ]
     said = f"{parquet.metadata.num_rows} rows of split {split}."
     return _node("RecordSet", where) | {"description": said, "field": fields}
@@ -64,7 +64,7 @@ def _members(column: Any) -> list[tuple[Any, str]]:
     """Return a column, or the members of a structure and its name; none of lists of structures."""
     kind = str(column.type)
     if kind.startswith("struct") and not kind.startswith(_PICTURE):
-        return [(one, column.name) for one in column.type]
+        return [(member, column.name) for member in column.type]
     return [] if ": struct<" in kind else [(column, "")]
 
 

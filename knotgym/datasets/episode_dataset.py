@@ -162,10 +162,14 @@ class EpisodeDataset:
             if claims.get(name) != now["given"].get(name):
                 yield f"{self.path}: column {name} doesn't match its digest"
 
+    def __len__(self) -> int:
+        """Return the number of episodes."""
+        return self.episodes.episodes.rows
+
     @property
     def numbers(self) -> NDArray[np.int64]:
         """The numbers of the episodes in their file, int64 (n,)."""
-        return np.arange(self.episodes.episodes.rows) if self.rows is None else self.rows
+        return np.arange(len(self)) if self.rows is None else self.rows
 
     def select(self, rows: Any) -> "EpisodeDataset":
         """Return the dataset with some of its episodes, by a mask or by their numbers."""
@@ -207,25 +211,24 @@ class EpisodeDataset:
 
     def drawn(self, sample: int) -> "EpisodeDataset":
         """Return so many episodes, drawn from a generator of their content; 0 for all."""
-        rows = self.episodes.episodes.rows
-        if not 0 < sample < rows:
+        if not 0 < sample < len(self):
             return self
         content = int(self.digests["digest"][:12], 16)
         rng = Stream.CHECKED_EPISODES.generator(content)
-        return self.select(np.sort(rng.choice(rows, sample, replace=False)))
+        return self.select(np.sort(rng.choice(len(self), sample, replace=False)))
 
     @cached_property
     def tasks(self) -> list[TaskConfig]:
         """The tasks that `setup` counts; the task alone where there is no such column."""
         listed = self.attributes.get("tasks")
-        return [common.from_json(TaskConfig, one) for one in listed] if listed else [self.task]
+        return [common.from_json(TaskConfig, task) for task in listed] if listed else [self.task]
 
     def setups(self) -> "Iterator[tuple[NDArray[np.int64], EpisodeDataset]]":
         """Yield the rows of the episodes of each task, and these as a dataset of that task."""
         if "setup" not in self.episodes.episodes:
-            yield np.arange(self.episodes.episodes.rows), self
+            yield np.arange(len(self)), self
             return
-        rest = {name: own for name, own in self.attributes.items() if name != "tasks"}
+        rest = {name: value for name, value in self.attributes.items() if name != "tasks"}
         for number, task in enumerate(self.tasks):
             rows = np.flatnonzero(self.episodes.episodes["setup"] == number)
             yield rows, replace(self, task=task, attributes=rest).select(rows)
@@ -332,10 +335,10 @@ def columns_of(source: Any, *, recordings: bool = False) -> EpisodeDataset:
             can't be loaded together.
     """
     if isinstance(source, (list, tuple)):
-        parts = tuple(columns_of(one) for one in source)
-        require_alike(parts, lambda one: common.Mark.values(one.task, "read", "look"))
-        path = Path(" and ".join(str(one.path) for one in parts))
-        every = Episodes.merged([one.episodes for one in parts])
+        parts = tuple(columns_of(each) for each in source)
+        require_alike(parts, lambda part: common.Mark.values(part.task, "read", "look"))
+        path = Path(" and ".join(str(part.path) for part in parts))
+        every = Episodes.merged([part.episodes for part in parts])
         return EpisodeDataset(path, every, parts[0].task, {}, parts=parts)
     if not isinstance(source, EpisodeDataset) and (path := episode_file(source)).name == MAIN:
         from knotgym.datasets.minari_recording import recorded_columns  # here, as few need it
@@ -387,7 +390,7 @@ def write_episodes(
         raise InvalidInput("episodes to write are a list of recordings, or of columns")
     parts, extra = fitted(parts), dict(facts or {})
     if not isinstance(task, TaskConfig):
-        extra["tasks"] = [common.as_json(one) for one in task]
+        extra["tasks"] = [common.as_json(each) for each in task]
         task = joined_task(task)
     if not is_bundled(task.states) and STATES_DIGEST not in extra:
         extra[STATES_DIGEST] = common.sha256(resolve_states(task.states))
@@ -416,7 +419,7 @@ def _digests_of(parts: Sequence[Episodes]) -> dict[str, Any]:
     parts = fitted(parts)
     claims = zip(*(part.claims().items() for part in parts), strict=True)
     digests: dict[str, Any] = {"digest": _digest([part.core() for part in parts])}
-    digests["given"] = {own[0][0]: Table.digest(*(table for _, table in own)) for own in claims}
+    digests["given"] = {pairs[0][0]: Table.digest(*(part for _, part in pairs)) for pairs in claims}
     if not any(part.is_recording for part in parts):
         digests["expansion"] = _digest([part.replayed() for part in parts])
     return digests
@@ -449,9 +452,9 @@ def episode_file(source: Any) -> Path:
     if file.is_file():
         return file
     files = sorted((root / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
-    files = files or [one / "data" / FILE for one in datasets_below(root)]
+    files = files or [folder / "data" / FILE for folder in datasets_below(root)]
     if len(files) > 1:
-        listed = ", ".join(str(one.parents[1]) for one in files[:_LISTED])
+        listed = ", ".join(str(path.parents[1]) for path in files[:_LISTED])
         more = f" and {len(files) - _LISTED} more" if len(files) > _LISTED else ""
         raise InvalidFile(f"{root} holds several datasets; choose one of them: {listed}{more}")
     if not files:

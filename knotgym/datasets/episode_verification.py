@@ -47,14 +47,13 @@ def expanded(dataset: EpisodeDataset, replay: Replay) -> EpisodeDataset:
         InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
     """
     parts, order = list[Episodes](), list[NDArray[np.int64]]()
-    rows = dataset.episodes.episodes.rows
     is_whole = dataset.rows is None and not dataset.parts
     for fault in dataset.digest_faults():
         raise InvalidFile(fault)
     for of_task, part in dataset.setups():
         order.append(of_task)
         for first in range(0, len(of_task), _BLOCK):
-            Counts.tell("episodes played again", Counts.from_now(len(parts) * _BLOCK), rows)
+            Counts.tell("episodes played again", Counts.from_now(len(parts) * _BLOCK), len(dataset))
             some = part.episodes.select(np.arange(first, min(first + _BLOCK, len(of_task))))
             parts.append(replay(some, part.found_task).with_claims(some))
     made = Episodes.merged(parts) if parts else dataset.episodes
@@ -148,7 +147,7 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         "a seed or a number of planned pulls is negative": negative,
         "a pull isn't one of the macro-action that it belongs to": not led,
     }
-    yield from (f"{dataset.path}: {fault}" for fault, found in wrong.items() if found)
+    yield from (f"{dataset.path}: {fault}" for fault, is_wrong in wrong.items() if is_wrong)
     missing = (rows["goal"] < 0) | (rows["start"] < 0)
     if missing.any():
         yield f"{dataset.path}, episode {missing.argmax()}: it names no start, or no goal"
@@ -253,7 +252,7 @@ def _duplicate_faults(dataset: EpisodeDataset) -> list[str]:
     """
     digests, seeds = dataset.episodes.digests(), dataset.episodes.episodes["seed"].tolist()
     free = bool(dataset.task.reset_noise)
-    keys = [(one, None if free else seed) for one, seed in zip(digests, seeds, strict=True)]
+    keys = [(digest, None if free else seed) for digest, seed in zip(digests, seeds, strict=True)]
     return [
         f"{dataset.path}, episode {row}: the same as episode {earlier}, start, goal and pulls"
         for earlier, row in repeated(keys)
@@ -289,7 +288,7 @@ def _protocol_faults(dataset: EpisodeDataset) -> Iterator[str]:
     config = protocol.get("config") if isinstance(protocol, dict) else None
     if not isinstance(config, dict):
         return
-    seed, count, rows = config.get("seed"), config.get("episodes"), dataset.episodes.episodes.rows
+    seed, count, rows = config.get("seed"), config.get("episodes"), len(dataset)
     if type(seed) is not int or type(count) is not int or not 0 <= count <= rows:
         yield f"{dataset.path}: its protocol has seed {seed!r} and {count!r} episodes of {rows}"
         return

@@ -43,7 +43,7 @@ def columns_in(*parts: str) -> tuple[Column, ...]:
     """Return the columns of some parts of `episodes.toml`, one part after the other."""
     listed = [item for part in parts for item in _COLUMNS[part].items()]
     return tuple(
-        Column(name, **one)._replace(shape=(*one.get("shape", ()),)) for name, one in listed
+        Column(name, **facts)._replace(shape=(*facts.get("shape", ()),)) for name, facts in listed
     )
 
 
@@ -215,7 +215,7 @@ class Episodes(NamedTuple):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns by the names of their tables, such as a journal keeps."""
-        return {f"{table.schema.name}/{name}": own for table in self for name, own in table.items()}
+        return {f"{table.schema.name}/{name}": table[name] for table in self for name in table}
 
     @staticmethod
     def code_sizes(crossings: int) -> dict[str, int]:
@@ -259,7 +259,7 @@ class Episodes(NamedTuple):
         """Return the episodes whose `columns` are given; none is a recording."""
         tables = []
         for schema in (EPISODES, STEPS):
-            named = {name.removeprefix(f"{schema.name}/"): own for name, own in columns.items()}
+            named = {name.removeprefix(f"{schema.name}/"): columns[name] for name in columns}
             schema = schema.with_own(named)
             present = {name: named[name] for name in schema.names if name in named}
             tables.append(Table(schema.only(*present), present))
@@ -475,14 +475,14 @@ def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
         InvalidInput: a column that some lack has no value for unknown.
     """
     tables = map(Table.alike, zip(*_same_width(sets), strict=True))
-    return [Episodes(*one) for one in zip(*tables, strict=True)]
+    return [Episodes(*pair) for pair in zip(*tables, strict=True)]
 
 
 def _same_width(sets: Sequence[Episodes]) -> list[Episodes]:
     codes = [table[name] for one in sets for table in one for name in _VISITS if name in table]
-    most = max([0, *(int(np.count_nonzero(one, axis=1).max(initial=0)) for one in codes)])
+    most = max([0, *(int(np.count_nonzero(visits, axis=1).max(initial=0)) for visits in codes)])
     sizes = Episodes.code_sizes(most // 2)
-    return [Episodes(*(_widened(table, sizes) for table in one)) for one in sets]
+    return [Episodes(*(_widened(table, sizes) for table in episodes)) for episodes in sets]
 
 
 def _code_ids(visits: NDArray[np.int16]) -> Ids:

@@ -69,9 +69,9 @@ def _columns_among(names: Collection[str]) -> dict[str, Any]:
     They are COLUMNS, and own ones of appearances, those of a file if all are among the names.
     """
     types = dict(COLUMNS)
-    for own in (columns for kind in APPEARANCES.values() for columns in kind.own_columns):
-        if own.keys() <= {*names}:
-            types |= {name: column["type"] for name, column in own.items()}
+    for extra in (columns for kind in APPEARANCES.values() for columns in kind.own_columns):
+        if extra.keys() <= {*names}:
+            types |= {name: column["type"] for name, column in extra.items()}
     return types
 
 
@@ -89,7 +89,7 @@ def marks_base(table: Any) -> bool:
 
 def picture_column(pictures: Iterable[bytes]) -> Any:
     """Return PNG bytes as a pyarrow.Array in the layout of Hugging Face's Image feature."""
-    return arrow().array([{"bytes": one, "path": None} for one in pictures], _arrow_type("image"))
+    return arrow().array([{"bytes": png, "path": None} for png in pictures], _arrow_type("image"))
 
 
 def _table_of(rows: Sequence[Mapping[str, Any]]) -> Any:

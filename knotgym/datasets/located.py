@@ -84,13 +84,14 @@ class Located(NamedTuple):
             counts["Gauss codes"] = len(states)
             counts["ropes of their points alone, not of a run"] = len(states) * (not states.source)
         for source in self.episodes:
-            drawn = (whole := open_episodes(source)).drawn(sample).episodes.episodes
-            counts["demonstrations" if self.states else "episodes"] += drawn.rows
-            if drawn.rows < (rows := whole.episodes.episodes.rows):
+            dataset = open_episodes(source)
+            drawn = dataset.drawn(sample)
+            counts["demonstrations" if self.states else "episodes"] += len(drawn)
+            if len(drawn) < len(dataset):
                 # no fault in n: with 95 % confidence at most 3 / n are wrong, the rule of three
-                said = f"drawn of {rows} (95 % sure: under {300 / drawn.rows:.2g} % wrong)"
-                counts[said] = drawn.rows
-            counts["steps replayed"] += int(drawn["length"].sum())
+                said = f"drawn of {len(dataset)} (95 % sure: under {300 / len(drawn):.2g} % wrong)"
+                counts[said] = len(drawn)
+            counts["steps replayed"] += int(drawn.episodes.episodes["length"].sum())
         counts["checksums"] = len(read_manifest(self.root)[0].get("files", {}))
         return counts
 

@@ -61,8 +61,8 @@ def merge(
     if not given:
         raise InvalidInput("nothing to merge: give at least one dataset")
     opened_data, sources = [opened(name).data for name in given], [resolve(name) for name in given]
-    states = [one for one in opened_data if isinstance(one, States)]
-    datasets = [one for one in opened_data if isinstance(one, EpisodeDataset)]
+    states = [data for data in opened_data if isinstance(data, States)]
+    datasets = [data for data in opened_data if isinstance(data, EpisodeDataset)]
     if len(given) not in (len(states), len(datasets)):
         kinds = ", ".join(locate(name).kind for name in given)
         raise InvalidInput(f"datasets to merge are all of states or all of episodes, got {kinds}")
@@ -95,7 +95,7 @@ def merge(
     else:
         with atomic_write(target, overwrite=overwrite) as temporary:
             write_episodes(temporary, parts, task, facts)
-    return f"{target}: {sum(part.episodes.rows for part in parts)} episodes"
+    return f"{target}: {sum(map(len, datasets))} episodes"
 
 
 def _states(dataset: EpisodeDataset) -> Path | None:
@@ -110,7 +110,7 @@ def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
     """
     require_alike(datasets, _facts)
     first = datasets[0]
-    joint = joined_task([one.task for one in datasets])
+    joint = joined_task([dataset.task for dataset in datasets])
     if joint != first.task:  # its environment can be made
         task_sides(replace(joint, states=str(first.states_path())))
     return joint
@@ -128,8 +128,8 @@ def _facts(dataset: EpisodeDataset) -> dict[str, object]:
 
 def _one_engine(datasets: Sequence[EpisodeDataset]) -> str | None:
     """Return the digest of the engine that made all datasets; None if one doesn't say it."""
-    said = {one.path: one.attributes.get("engine") for one in datasets}
-    digests = {str(one): path for path, one in said.items() if one is not None}
+    said = {dataset.path: dataset.attributes.get("engine") for dataset in datasets}
+    digests = {str(digest): path for path, digest in said.items() if digest is not None}
     if len(digests) > 1:
         which = ", ".join(f"{path} {digest}" for digest, path in digests.items())
         raise InvalidInput(one_line(f"engines that do otherwise made these datasets: {which}"))
@@ -138,27 +138,27 @@ def _one_engine(datasets: Sequence[EpisodeDataset]) -> str | None:
 
 def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
     """Refuse two episodes with the same start, goal and pulls."""
-    every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
+    every = [(dataset, row) for dataset in datasets for row in range(len(dataset))]
     told = Counts.over(datasets, "comparing episodes of datasets")
-    for pair in repeated(digest for one in told for digest in one.episodes.digests()):
+    for pair in repeated(digest for dataset in told for digest in dataset.episodes.digests()):
         first, second = (f"episode {every[k][1]} of {every[k][0].path}" for k in pair)
         raise InvalidInput(f"{first} and {second} are the same; merge sets that share no episode")
 
 
 def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMetadata:
     """Join the metadata of datasets; equal reference scores are those of the whole."""
-    known = [metadata for one in datasets if (metadata := metadata_of(one))]
-    policies = {str(name) for one in datasets for name in one.episodes.episodes["policy"]}
-    described = [f"Merged of {', '.join(one.name for one in datasets)}."]
-    described += [f"{one.dataset_id}: {one.description}" for one in known]
-    scores = [{name: getattr(one, name) for name in _SCORES} for one in known]
-    is_one = len(scores) == len(datasets) and all(one == scores[0] for one in scores)
+    known = [metadata for dataset in datasets if (metadata := metadata_of(dataset))]
+    policies = {str(name) for dataset in datasets for name in dataset.episodes.episodes["policy"]}
+    described = [f"Merged of {', '.join(dataset.name for dataset in datasets)}."]
+    described += [f"{metadata.dataset_id}: {metadata.description}" for metadata in known]
+    scores = [{name: getattr(metadata, name) for name in _SCORES} for metadata in known]
+    is_one = len(scores) == len(datasets) and all(score == scores[0] for score in scores)
     return MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(sorted(policies)),
         description="\n\n".join(described),
-        author=tuple({name for one in known for name in one.author}),
-        author_email=tuple({name for one in known for name in one.author_email}),
-        digests=by_name((one.dataset_id, one.digests) for one in known if one.digests),
+        author=tuple({name for metadata in known for name in metadata.author}),
+        author_email=tuple({name for metadata in known for name in metadata.author_email}),
+        digests=by_name((about.dataset_id, about.digests) for about in known if about.digests),
         **(scores[0] if is_one else {}),
     )

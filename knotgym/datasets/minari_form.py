@@ -128,15 +128,15 @@ class Statistics:
 
         A number that never changes has std 1, so that one can divide by it.
         """
-        found = {}
+        summaries = {}
         for name, blocks in self._blocks.items():
             counts, total, squares, low, high = zip(*blocks, strict=True)
             mean = sum(total) / sum(counts)
             std = np.sqrt(np.maximum(sum(squares) / sum(counts) - mean**2, 0))
             both = {"mean": mean, "std": np.where(std > 1e-6, std, 1)}
             both |= {"min": np.min(low, axis=0), "max": np.max(high, axis=0)}
-            found[name] = {what: np.asarray(value, np.float32) for what, value in both.items()}
-        return found
+            summaries[name] = {what: np.asarray(value, np.float32) for what, value in both.items()}
+        return summaries
 
 
 def publish(
@@ -207,8 +207,7 @@ def write_minari(dataset: EpisodeDataset) -> None:
     """
     data, statistics = dataset.path.parent, Statistics()
     with new_hdf5(data / MAIN, libver=("v110", "v110"), meta_block_size=_METADATA_BYTES) as file:
-        rows = dataset.episodes.episodes.rows
-        told = Counts.over(_contents(dataset), "writing Minari's form", rows)
+        told = Counts.over(_contents(dataset), "writing Minari's form", len(dataset))
         for k, (attributes, arrays) in enumerate(told):
             episode = file.create_group(f"episode_{k}")
             episode.attrs.update(sorted(attributes.items()))
@@ -261,7 +260,7 @@ def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
         some = dataset.drawn(_COMPARED) if sealed is not None else dataset
         statistics = Statistics()
         with h5py.File(main, locking=False) as file:
-            if len(file) != dataset.episodes.episodes.rows:
+            if len(file) != len(dataset):
                 yield f"{main}: it has {len(file)} episodes"
             told = Counts.over(some.numbers.tolist(), "comparing Minari's form")
             for k, (attributes, arrays) in zip(told, _contents(some), strict=True):
@@ -458,7 +457,7 @@ def _same_json(there: Any, expected: Any) -> bool:
 
     A keyword that an older specification of an environment lacks has its default.
     """
-    if all(isinstance(one, str) and one[:1] == "{" for one in (there, expected)):
+    if all(isinstance(text, str) and text[:1] == "{" for text in (there, expected)):
         there, expected = json.loads(there), json.loads(expected)
         if "kwargs" in expected:
             usual = common.as_json(TaskConfig(task="tie"))

@@ -37,7 +37,7 @@ def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
     with InvalidFile.instead(f"{path} can't be loaded", Exception):
         metadata = read_json(path.with_name("metadata.json"))
         spec = json.loads(metadata["env_spec"])
-        known = {one.name for one in fields(TaskConfig)}
+        known = {field.name for field in fields(TaskConfig)}
         keywords = {name: value for name, value in spec["kwargs"].items() if name in known}
         if not spec["id"].startswith("knotgym/"):
             raise InvalidFile(f"it was recorded in {spec['id']}, no environment of knotgym")

@@ -78,7 +78,9 @@ def _page_data(title: str, given: Located, replay: Replay | None = None) -> dict
     data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
     data["about"] = [[name, _cut(value)] for name, value in about.items() if value]
     counts = {data["called"].removesuffix("s"): data["states"], "episode": data["episodes"]}
-    contents = [f"{len(one)} {what}{'s' * (len(one) != 1)}" for what, one in counts.items() if one]
+    contents = [
+        f"{len(rows)} {kind}{'s' * (len(rows) != 1)}" for kind, rows in counts.items() if rows
+    ]
     if not contents:
         raise InvalidInput(f"{title} has no rows, so there is nothing to show")
     return {**data, "says": ", ".join(contents)}
@@ -127,8 +129,8 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
     report = read_manifest(file.parent)[0].get("report", {})
     rows = _sampled(len(states), MOST_STATES, "states", notices)
     chosen = states.take(rows)
-    known = {name for name, (_, one) in states.measures.items() if np.isfinite(one).any()}
-    measures = {name: one for name, one in chosen.measures.items() if name in known}
+    known = {name for name, (_, values) in states.measures.items() if np.isfinite(values).any()}
+    measures = {name: values for name, values in chosen.measures.items() if name in known}
     shapes = _shapes(rows, chosen.table, measures)
     made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
     for name, column in made.items() if "dataset" in chosen.source else ():
@@ -155,7 +157,7 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     shapes = _shapes(rows, {**columns, "points": points_of(taken)}, measures_of(taken))
     for shown, row in zip(shapes["states"], taken.to_pylist(), strict=True):
         shown |= {"grade": row["grade"], "image": _picture(row["image"])}
-        shown["at"] = [[_number(one["x"]), _number(one["y"])] for one in row["crossings"]]
+        shown["at"] = [[_number(place["x"]), _number(place["y"])] for place in row["crossings"]]
         if "line" in row:  # x, y and depth of each bead
             line = np.reshape(row["line"], (-1, 3))[:, :2].ravel()
             shown |= {"line": [_number(n) for n in line], "masks": _picture(row["strands"])}
@@ -192,8 +194,8 @@ def _episodes(
 ) -> dict[str, Any]:
     """Collect episodes of datasets, sampled so that they have at most MOST_FRAMES states."""
     datasets = [columns_of(source, recordings=True) for source in sources]
-    every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
-    lengths = np.concatenate([one.episodes.episodes["length"] for one in datasets]).tolist()
+    every = [(dataset, row) for dataset in datasets for row in range(len(dataset))]
+    lengths = np.concatenate([dataset.episodes.episodes["length"] for dataset in datasets]).tolist()
     frames = [min(length, MOST_STEPS) + 1 for length in lengths]
     most = int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1
     # episodes differ in length, so the first guess may be too many
@@ -204,19 +206,19 @@ def _episodes(
         notices.append(f"Longer episodes show their first {MOST_STEPS} steps.")
     about |= {
         "task": as_json(datasets[0].task),
-        "datasets": ", ".join(dict.fromkeys(one.name for one in datasets)),
+        "datasets": ", ".join(dict.fromkeys(dataset.name for dataset in datasets)),
         "episodes": len(every),
         "steps": sum(lengths),
         **_versions(datasets[0].attributes.get("versions") or {}),
     }
-    chosen = [[row for of, row in (every[k] for k in rows) if of is one] for one in datasets]
+    chosen = [[every[k][1] for k in rows if every[k][0] is dataset] for dataset in datasets]
     parts = [one.select(own) for one, own in zip(datasets, chosen, strict=True) if own]
     if replay:
-        parts = [expanded(one, replay) if one.episodes.is_recording else one for one in parts]
-    about["by goal"] = _by_goal([one.episodes.episodes for one in parts])
-    shown = [(one, row) for one in parts for row in range(one.episodes.episodes.rows)]
+        parts = [expanded(part, replay) if part.episodes.is_recording else part for part in parts]
+    about["by goal"] = _by_goal([part.episodes.episodes for part in parts])
+    shown = [(part, row) for part in parts for row in range(len(part))]
     told = Counts.over(shown, "episodes of the page", len(shown))
-    return {"episodes": [_episode(*one) for one in told], "beads": datasets[0].task.beads}
+    return {"episodes": [_episode(*each) for each in told], "beads": datasets[0].task.beads}
 
 
 def _by_goal(tables: Sequence[Mapping[str, NDArray[Any]]]) -> str:
@@ -255,9 +257,9 @@ def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
         "code": code,
         "chiral": chiral,
         "code_chiral": code_chiral,
-        "x": [_crossings(one) for one in points],
+        "x": [_crossings(rope) for rope in points],
         "bead": [-1, *steps["bead"][pulls].tolist()],
-        "force": [[0.0] * 3, *([round(float(n), 4) for n in one] for one in force)],
+        "force": [[0.0] * 3, *([round(float(n), 4) for n in vector] for vector in force)],
         "applied_share": [1.0, *share.tolist()],
         "rewards": [_number(reward) for reward in steps["reward"][pulls]],
     }
@@ -272,8 +274,8 @@ def _indexed(codes: NDArray[np.str_]) -> tuple[list[str], list[int]]:
 
 def _crossings(points: Array) -> list[list[float]]:
     """Return over position and under position (in beads) and sign of each crossing."""
-    found = find_crossings(points)
-    rows = zip(found.over_place.tolist(), found.under_place.tolist(), found.sign, strict=True)
+    known = find_crossings(points)
+    rows = zip(known.over_place.tolist(), known.under_place.tolist(), known.sign, strict=True)
     return [[round(over, 2), round(under, 2), int(sign)] for over, under, sign in rows]
 
 

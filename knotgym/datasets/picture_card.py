@@ -48,7 +48,7 @@ def picture_tables(path: Path) -> dict[str, CardTable]:
     rows = read_table(path, columns=[*_COUNTED, "quality"])
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
     counts = [counted("splits", columns, _SPLITS), counted("grades", columns, _GRADES)]
-    return {one.title: one for one in (*counts, measured(measures_of(rows)))}
+    return {table.title: table for table in (*counts, measured(measures_of(rows)))}
 
 
 def _picture_card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:

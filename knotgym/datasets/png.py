@@ -64,7 +64,7 @@ def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> bytes:
     """Arrange pictures of one size in rows of at most `columns`; return a PNG."""
     size = len(tiles[0].picture) if tiles else TILE
     wide = size + 2 * _EDGE
-    high = wide + 2 + _LINE * max([2, *(len(one.captions) for one in tiles)])
+    high = wide + 2 + _LINE * max([2, *(len(tile.captions) for tile in tiles)])
     columns = max(1, min(columns, len(tiles)))
     rows = -(-max(1, len(tiles)) // columns)
     sheet = np.full((rows * high, columns * wide, 3), _GREY, dtype=np.uint8)

@@ -87,7 +87,7 @@ def _state_faults(states: States) -> Iterator[str]:
     if states.by_vertices or states.quality:
         needed = {name for name in needed if not name.startswith("quality/")}
     sources = {SOURCES.get(name) for name in states.source.get("policy", ())}
-    if all(one is not None and one.draws_actions for one in sources):
+    if all(source is not None and source.draws_actions for source in sources):
         needed.discard("source/actions")
     if not states.source:  # nobody simulated them, see `States.from_points`
         needed = {name for name in needed if not name.startswith("source/")}
@@ -110,7 +110,7 @@ def _state_faults(states: States) -> Iterator[str]:
     ropes = list(map(tuple, seeds.tolist()))
     for fault in shared_faults(states.points, states.split, ropes, range(len(states))):
         yield f"states.h5 {fault}"
-    for first, row in repeated(one.tobytes() for one in states.points):
+    for first, row in repeated(points.tobytes() for points in states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
     if states.digest and states.image is not None and states.digest != Table.digest(states.table):
         yield "states.h5: its columns don't match content_sha256"
@@ -434,7 +434,7 @@ def faults(located: Located, replay: Replay, each: Map = map, sample: int = 0) -
         every = _state_faults(read_states(located.states))
     else:
         folders = [
-            one for one in {located.root, *located.episodes} if (one / "manifest.json").is_file()
+            path for path in {located.root, *located.episodes} if (path / "manifest.json").is_file()
         ]
         verified = partial(episode_faults, replay=replay, sample=sample)
         every = chain.from_iterable(

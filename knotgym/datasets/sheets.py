@@ -32,7 +32,7 @@ def write_sheet(path: Path, located: Located) -> str:
         tiles, what, count = state_tiles(states), "states", len(states)
     else:
         tiles, what = _episode_tiles(located.episodes), "episodes, each at its end"
-        count = sum(columns_of(one).episodes.episodes.rows for one in located.episodes)
+        count = sum(len(columns_of(path)) for path in located.episodes)
     path.write_bytes(contact_sheet(tiles))
     return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
 

@@ -67,7 +67,7 @@ def state_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTab
         measured(states.measures),
         CardTable.of("rejected", rejected, attempts=report.get("attempts")),
     )
-    return {one.title: one for one in listed}
+    return {table.title: table for table in listed}
 
 
 def _state_card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
@@ -98,11 +98,12 @@ def _overlap(states: States, nx: int) -> tuple[object, ...]:
     known, asked = (
         (states.gauss_code[rows].tolist(), states.diagrams(rows)) for rows in (train, test)
     )
-    every, near = np.flatnonzero([SPLITS[one].trains for one in states.split]), "-"
+    every, near = np.flatnonzero([SPLITS[split].trains for split in states.split]), "-"
     if len(test) and len(every):
         apart, _ = Spectra.of(states.points[test]).nearest(Spectra.of(states.points[every]))
         near = f"{1000 * apart.min():.1f}"
-    shared = [sum(one in {*seen} for one in own) for own, seen in zip(asked, known, strict=True)]
+    pairs = zip(asked, known, strict=True)
+    shared = [sum(form in {*seen} for form in forms) for forms, seen in pairs]
     return nx, len(test), *shared, near
 
 

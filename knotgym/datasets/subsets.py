@@ -151,8 +151,8 @@ def kept(path: Path, first: Path | None = None) -> str:
         return said
     mine, other = rows.data.episodes.episodes, open_episodes(first).episodes.episodes
     states = {name: {*mine[name].tolist()} for name in ("start", "goal")}
-    shared = {name: own & {*other[name].tolist()} for name, own in states.items()}
-    counts = (f"{len(shared[name])} of its {len(own)} {name}s" for name, own in states.items())
+    shared = {name: rows & {*other[name].tolist()} for name, rows in states.items()}
+    counts = (f"{len(shared[name])} of its {len(rows)} {name}s" for name, rows in states.items())
     why = "; only states without crossings may" * any(shared.values())
     return f"{said}; {', '.join(counts)} stand in {first.name}, too{why}"
 
@@ -199,7 +199,8 @@ def opened(source: str | Path) -> _Rows:
 
 def _of_states(path: Path) -> _Rows:
     states = read_states(path)
-    flat = {name.replace("/", "."): own for name, own in states.table.items() if own.ndim == 1}
+    table = states.table
+    flat = {name.replace("/", "."): table[name] for name in table if table[name].ndim == 1}
     ropes = states.source.get("seed", np.arange(len(states))[:, None])
     return _Rows(
         states,
@@ -227,8 +228,8 @@ def _of_pictures(path: Path) -> _Rows:
         }
 
     def _shared() -> Ids:
-        own = _columns()
-        ropes = np.stack([own["source.seed"], own["source.rope"]], axis=1)
+        columns = _columns()
+        ropes = np.stack([columns["source.seed"], columns["source.rope"]], axis=1)
         return _families_and_ropes(image_table.points_of(table), ropes)
 
     def _write(rows: Ids, made: list[Any], out: Path) -> None:
@@ -249,8 +250,8 @@ def _of_episodes(path: Path) -> _Rows:
             "episode": np.arange(episodes.rows),
             **{name: values for name, values in episodes.items() if values.ndim == 1},
             "goal_gauss_code": gauss_codes(episodes["goal_visits"]),
-            "task": np.array([one.task for one in task.singles])[single],
-            "nx": np.array([one.nx for one in task.singles])[single],
+            "task": np.array([each.task for each in task.singles])[single],
+            "nx": np.array([each.nx for each in task.singles])[single],
             "split": np.full(episodes.rows, task.split),
         }
         if "visits" in steps:
@@ -262,7 +263,7 @@ def _of_episodes(path: Path) -> _Rows:
 
     def _shared() -> Ids:
         # states without crossings are shared by nearly all episodes
-        tangled = np.array([one.start_nx > 0 for one in task.singles])[_single_of(dataset)]
+        tangled = np.array([each.start_nx > 0 for each in task.singles])[_single_of(dataset)]
         goals = np.where(episodes["goal_visits"].any(axis=1), episodes["goal"], -1)
         return np.stack([np.where(tangled, episodes["start"], -1), goals], axis=1)
 
@@ -287,14 +288,14 @@ def _single_of(dataset: EpisodeDataset) -> Ids:
     """
     rows, steps = dataset.episodes
     if "setup" in rows:
-        sides = [(one.start_nx, one.goal_nx) for one in dataset.task.singles]
-        single = [sides.index((one.start_nx, one.goal_nx)) for one in dataset.tasks]
+        sides = [(setup.start_nx, setup.goal_nx) for setup in dataset.task.singles]
+        single = [sides.index((setup.start_nx, setup.goal_nx)) for setup in dataset.tasks]
         return np.array(single)[rows["setup"]]
     goals = np.count_nonzero(rows["goal_visits"], axis=1) // 2
     first = dataset.episodes.offsets[:-1]
     starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
-    unlike = [2 * (goals != one.goal_nx) + (starts != one.start_nx) for one in dataset.task.singles]
-    return np.argmin(unlike, axis=0)
+    sides = [(single.start_nx, single.goal_nx) for single in dataset.task.singles]
+    return np.argmin([2 * (goals != goal) + (starts != start) for start, goal in sides], axis=0)
 
 
 def _require(out: Path, given: _Rows, source: Path, overwrite: bool) -> None:
@@ -387,9 +388,9 @@ def _matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np
 def _compares_truth(expression: Any, frame: Any) -> bool:
     """Whether a part is of truth values and numbers, as of 1 < nx < 4, which is always true."""
     inputs = expression.meta.pop()
-    kinds = [frame.select(one).to_series().dtype for one in inputs]
+    kinds = [frame.select(part).to_series().dtype for part in inputs]
     mixed = "Boolean" in map(str, kinds) and any(kind.is_numeric() for kind in kinds)
-    return mixed or any(_compares_truth(one, frame) for one in inputs)
+    return mixed or any(_compares_truth(part, frame) for part in inputs)
 
 
 def _refused(text: str, why: str) -> InvalidInput:

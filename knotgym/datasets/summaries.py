@@ -72,7 +72,7 @@ def in_words(value: Any) -> str:
     """Format a value of a summary for reading; "" for None, "none" for one in a mapping."""
     if isinstance(value, Mapping):
         listed = [*value.items()][:_LISTED]
-        entries = [f"{name} {in_words(one) or 'none'}" for name, one in listed]
+        entries = [f"{name} {in_words(entry) or 'none'}" for name, entry in listed]
         more = len(value) - len(entries)
         return ", ".join(entries) + (f" and {more} more" if more else "")
     if isinstance(value, list):

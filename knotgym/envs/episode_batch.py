@@ -187,7 +187,7 @@ class EpisodeBatch:
             rows: the columns `seed`, `start`, `goal` and `start_qpos` of `datasets.episodes`, and
                 `goal_visits` and `hold` where an episode has a goal of its own.
         """
-        self._fresh = self._fresh or {name: own[0].copy() for name, own in self._per_rope()}
+        self._fresh = self._fresh or {name: array[0].copy() for name, array in self._per_rope()}
         for name, column in self._per_rope():
             # codes, which may be wider now, are read below
             column[ids] = self._fresh[name] if column[0].shape == self._fresh[name].shape else 0
@@ -224,8 +224,10 @@ class EpisodeBatch:
 
     def _per_rope(self) -> list[tuple[str, NDArray[Any]]]:
         """Return the arrays that have a row per rope, by their names; a subclass may add some."""
-        arrays = [(name, own) for name, own in vars(self).items() if isinstance(own, np.ndarray)]
-        return [(name, own) for name, own in arrays if name not in _OF_BATCH]
+        arrays = {
+            name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)
+        }
+        return [(name, array) for name, array in arrays.items() if name not in _OF_BATCH]
 
     # acting
 
@@ -379,7 +381,7 @@ class EpisodeBatch:
             self._old_texts[old] = False
             seen, goals = self.visits[old], self.wanted[old]
             codes = CodeArrays(seen), CodeArrays(seen, self.signs[old]), CodeArrays(goals)
-            self._texts[:, old] = [one.texts() for one in codes]
+            self._texts[:, old] = [arrays.texts() for arrays in codes]
             shown = self._texts[0, ids], self._texts[1, ids], self._texts[2, ids]
         infos = {
             "gauss_code": shown[0],
@@ -438,7 +440,8 @@ class EpisodeBatch:
             first = "" if few is None else f", of the first {few}"
             rows = self.rows[name] if len(self._sides) > 1 else rows
             shown = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
-            crossings = ", ".join(map(str, sorted({one[name == "goal"].nx for one in self._sides})))
+            numbers = sorted({pair[name == "goal"].nx for pair in self._sides})
+            crossings = ", ".join(map(str, numbers))
             raise InvalidInput(
                 f"{name} must be a row with nx = {crossings} of the {self.task.split}"
                 f" split{first}: {shown}; got {row!r}"

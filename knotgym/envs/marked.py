@@ -239,9 +239,9 @@ def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_])
 def _canonical_image(goal: Visits, code: Visits) -> tuple[bool, bool, Tokens, Tokens]:
     """Return whether to reverse and to switch, and the tokens of the goal and of the code then."""
     walks = Symmetry.SWITCH | Symmetry.REVERSE
-    pairs = [*zip(*(images(GaussCode(one), walks) for one in (goal, code)), strict=True)]
+    pairs = [*zip(*(images(GaussCode(visits), walks) for visits in (goal, code)), strict=True)]
     # the first of equal ones, so that a rope isn't reversed without need
-    best = max(range(len(pairs)), key=lambda k: [one.visits for one in pairs[k]])
+    best = max(range(len(pairs)), key=lambda k: [image.visits for image in pairs[k]])
     first, second = pairs[best]
     return best > 1, best % 2 == 1, _tokens(first.visits), _tokens(second.visits)
 

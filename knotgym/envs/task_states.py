@@ -43,7 +43,7 @@ def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
         InvalidInput: there are none, starts and goals are of different knot types, or some starts
             or goals would come from another file than the others, so that rows are ambiguous.
     """
-    sides = [_sides(one) for one in task.singles]
+    sides = [_sides(single) for single in task.singles]
     if any(len({side.origin for side in same}) > 1 for same in zip(*sides, strict=True)):
         raise InvalidInput(
             f"{resolve_states(task.states)} has no plain loops, which several tasks at once need:"
@@ -60,7 +60,7 @@ def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     starts, goals = (_side(task, path, states, nx) for nx in both)
     goals = goals._replace(rows=goals.rows[: task.max_goals])
     begin, end = (
-        ", ".join(sorted({*one.states.knot[one.rows].tolist()})) for one in (starts, goals)
+        ", ".join(sorted({*side.states.knot[side.rows].tolist()})) for side in (starts, goals)
     )
     if begin != end or ", " in begin:
         raise InvalidInput(

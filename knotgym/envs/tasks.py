@@ -161,7 +161,7 @@ class TaskConfig:
             from knotgym.rope import RopeConfig
 
             derived = {name for name, *_ in Mark.fields(RopeConfig, {}, "derived")}
-            known = sorted({one.name for one in fields(RopeConfig)} - derived)
+            known = sorted({field.name for field in fields(RopeConfig)} - derived)
             if unknown := sorted(self.rope.keys() - known):
                 raise InvalidInput(
                     f"rope may set {', '.join(known)}; got {', '.join(map(repr, unknown))}"
@@ -202,7 +202,7 @@ class TaskConfig:
             UnknownKeyword: a keyword is unknown.
             InvalidInput: a value is invalid.
         """
-        known = [one.name for one in fields(cls)]
+        known = [field.name for field in fields(cls)]
         unknown = [name for name in settings if name not in known]
         if unknown:
             raise UnknownKeyword(

@@ -166,8 +166,8 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
             rewards = np.concatenate([rewards, np.zeros_like(rewards[:1])])
         seen = transitions.observations(segment, 0, len(actions))
         parts = [
-            np.ascontiguousarray(np.moveaxis(one, -1, -3)) if one.dtype == np.uint8 else one
-            for one in (seen.values() if isinstance(seen, dict) else [seen])
+            np.ascontiguousarray(np.moveaxis(part, -1, -3)) if part.dtype == np.uint8 else part
+            for part in (seen.values() if isinstance(seen, dict) else [seen])
         ]
         shown = parts[0] if len(parts) == 1 else tuple(parts)
         episodes.append(d3rlpy.dataset.Episode(shown, actions, rewards, terminated))
@@ -238,8 +238,8 @@ def _tensors(
                 after[name] = columns[f"next_{name}"]
 
     seen, then = (
-        one if isinstance(one, dict) else {"observation": one}
-        for one in (columns["observations"], columns["next_observations"])
+        half if isinstance(half, dict) else {"observation": half}
+        for half in (columns["observations"], columns["next_observations"])
     )
     added |= {name: columns[name] for name in ("beads", "whole") if name in columns}
     episode = np.repeat(np.arange(transitions.segments), np.diff(transitions.starts))

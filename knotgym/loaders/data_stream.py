@@ -108,8 +108,8 @@ class DataStream:
     def _batch_of(self, number: int) -> dict[str, Any]:
         """Return one batch, as `Transitions.batch` does, whatever was returned before."""
         turn, place = divmod(number, self._shuffled * self._repeats)
-        part, one = divmod(place, self._shuffled)
-        block = turn * self._shuffled + one
+        part, offset = divmod(place, self._shuffled)
+        block = turn * self._shuffled + offset
         rows = self._block(block)
         order = Stream.STREAM_ORDER.generator(self._seed, block).permutation(len(rows))
         # a block that has too few rows gives them again, in the same order
@@ -178,8 +178,8 @@ class DataStream:
     def _begin(self) -> float:
         """Begin a pass, or go on in one; return its end."""
         worker, size, ranks = _worker(), self._length, self._spread()[1]
-        number, own = self._next_pass(worker), worker is not None and self._own
-        if not (self._goes_on and number == self._pass) and not own:
+        number, is_own = self._next_pass(worker), worker is not None and self._own
+        if not (self._goes_on and number == self._pass) and not is_own:
             if size is not None:
                 self.number = number * size
             elif self._begun.any():
@@ -189,12 +189,12 @@ class DataStream:
         if worker is None:
             self._forget()
         else:
-            self.number += 0 if own else ranks * worker.id
+            self.number += 0 if is_own else ranks * worker.id
             self._begun[worker.id] = _key(worker) << 32 | number + 1
         if size is None:
             return float("inf")
         end = (number + 1) * size
-        if (end - self.number) % ranks and not own:
+        if (end - self.number) % ranks and not is_own:
             raise InvalidInput(f"{ranks} ranks can't share {size} batches of a pass evenly")
         return end
 

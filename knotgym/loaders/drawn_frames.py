@@ -65,7 +65,7 @@ class DrawnFrames:
         self._dataset, self.task, self._kind = dataset, task, OBSERVATIONS[task.observation]
         self._observer = Observer(dataset.task, picture)
         self._rows = dataset.episodes.steps.rows
-        self._count = self._rows + dataset.episodes.episodes.rows
+        self._count = self._rows + len(dataset)
         frames = dataset.frames(self._observer)
         self._frames = replace(frames, threads=Threads(0), block=_BLOCK)
         if cache is not None:
@@ -168,7 +168,7 @@ class DrawnFrames:
             "states": Table.digest(steps.only("observation")),
             "goals": Table.digest(episodes.only("goal_points", "length")),
             "picture": asdict(self._observer.picture),
-            "looks": [one and asdict(one) for one in self._observer.appearances(goals)],
+            "looks": [look and asdict(look) for look in self._observer.appearances(goals)],
             "code": [code_sha256(Path(knotgym.__file__).parent / room) for room in _DRAWING],
             "opencv": cv2.__version__,
         }

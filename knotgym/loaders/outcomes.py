@@ -127,7 +127,7 @@ class Outcomes:
     def _rewards_by(self, reward: Reward) -> Array:
         """Return the rewards that a user's function gives to the pulls of each episode."""
         episodes, steps = self._segments.episodes
-        found = np.zeros(steps.rows)
+        every = np.zeros(steps.rows)
         for number, first in enumerate(self._segments.episodes.offsets[:-1].tolist()):
             # copies: a function may change what it is given
             episode = {name: column[[number]][0] for name, column in episodes.items()}
@@ -143,8 +143,8 @@ class Outcomes:
                     f"reward must return finite numbers, got {rewards[wrong[0]]} in episode"
                     f" {number}, step {wrong[0]}"
                 )
-            found[first:last] = rewards
-        return found
+            every[first:last] = rewards
+        return every
 
 
 def _returns(

@@ -50,7 +50,7 @@ class Pictures:
             "visits": visits,
             "signs": signs,
             "crossings": _crossings(table["crossings"].to_pylist(), max_nx),
-            "grade": np.array([GRADES.index(one) for one in table["grade"].to_pylist()], np.int64),
+            "grade": np.array([*map(GRADES.index, table["grade"].to_pylist())], dtype=np.int64),
             "accepted": np.array(table["accepted"].to_pylist(), dtype=np.bool_),
         }
 
@@ -74,7 +74,7 @@ class Pictures:
         images = [self.picture(int(row)) for row in rows]
         if len(sizes := {image.shape for image in images}) != 1:
             raise InvalidInput(f"pictures of {len(sizes)} sizes make no batch; ask for one size")
-        return {"image": np.stack(images), **{k: one[rows] for k, one in self.labels.items()}}
+        return {"image": np.stack(images), **{k: values[rows] for k, values in self.labels.items()}}
 
 
 def _crossings(rows: list[list[dict[str, float]]], most: int) -> NDArray[np.float32]:

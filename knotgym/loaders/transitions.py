@@ -263,7 +263,7 @@ class Transitions(Outcomes):
         drawn = self._drawn(rows, rng)
         for first in range(0, max(1, len(rows)), size):
             some = slice(first, min(first + size, len(rows)))
-            parts = (None if one is None else one[some] for one in drawn)
+            parts = (None if rows_drawn is None else rows_drawn[some] for rows_drawn in drawn)
             yield some, self._batch(rows[some], False, *parts)
 
     def _drawn(
@@ -289,7 +289,7 @@ class Transitions(Outcomes):
         steps, outcomes = self._of_window(rows, window, sampled)
         states = rows + segments
         ends = (states, states + steps)
-        shown = [self._segments.states[self._stack(one, segments)] for one in ends]
+        shown = [self._segments.states[self._stack(end, segments)] for end in ends]
         alone, observe = self._frames.alone, self._frames.observe
         seen = alone([*shown, goals]) if apart else observe(shown, goals)
         batch = {
@@ -340,12 +340,12 @@ def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArra
     return gathered
 
 
-def _other_codes(codes: Ids, own: Ids, count: int, rng: np.random.Generator) -> Ids:
+def _other_codes(codes: Ids, avoided: Ids, count: int, rng: np.random.Generator) -> Ids:
     """Draw, for each of n codes, `count` states with other codes, uniformly.
 
     Args:
         codes: (m,), the code of each state, as a number.
-        own: (n,), the codes to avoid, each one of `codes`.
+        avoided: (n,), the codes to avoid, each one of `codes`.
         count: states to draw for each.
 
     Returns:
@@ -355,10 +355,10 @@ def _other_codes(codes: Ids, own: Ids, count: int, rng: np.random.Generator) -> 
         InvalidInput: all states have the same code.
     """
     order = np.argsort(codes, kind="stable")
-    low, high = (np.searchsorted(codes[order], own, side) for side in ("left", "right"))
+    low, high = (np.searchsorted(codes[order], avoided, side) for side in ("left", "right"))
     left = len(codes) - (high - low)
     if (left == 0).any():
         raise InvalidInput("negatives need a dataset with two Gauss codes or more, got one")
-    drawn = rng.integers(left[:, None], size=(len(own), count))
+    drawn = rng.integers(left[:, None], size=(len(avoided), count))
     # in sorted order the states with the code itself are the range [low, high), stepped over here
     return order[drawn + np.where(drawn >= low[:, None], (high - low)[:, None], 0)]

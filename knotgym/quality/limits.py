@@ -178,7 +178,7 @@ def grade_of(ease: float) -> str:
 def _is_maximum(limits: Any, name: str) -> bool:
     """Whether a limit is the largest value of its measure, as its type says."""
     most, least = (
-        {one for one, *_ in Mark.fields(limits, {}, word)} for word in ("at most", "at least")
+        {limit for limit, *_ in Mark.fields(limits, {}, word)} for word in ("at most", "at least")
     )
     if (name in most) == (name in least):
         raise InvalidInput(f"the type of {limits.__name__}.{name} must be AtLeast or AtMost")

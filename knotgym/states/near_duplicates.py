@@ -130,7 +130,7 @@ class Spectra(NamedTuple):
 
     def take(self, rows: Any) -> Spectra:
         """Select rows, in the order given."""
-        return Spectra(*(one[rows] for one in self))
+        return Spectra(*(array[rows] for array in self))
 
     def _distances(self, square: Array, others: Array, agreement: Array) -> Array:
         # rounding can make the square of a vanishing distance negative

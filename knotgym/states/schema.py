@@ -60,7 +60,7 @@ class RopeAtRest:
         # here, so that reading states needs neither renderer nor compiled measures
         from knotgym.quality import measure_all, noise_survival
 
-        ropes = [cls(one) for one in points]
+        ropes = [cls(rope) for rope in points]
         qualities = measure_all(points, [rope.crossings for rope in ropes])
         for rope, quality in zip(ropes, qualities, strict=True):
             survival = noise_survival(rope.points)
@@ -116,14 +116,14 @@ _ROOT = (
 )
 _MEASURES = tuple(
     Column(
-        f"quality/{one.name}",
+        f"quality/{measure.name}",
         "float64",
-        unit=one.metadata["unit"],
-        doc=one.metadata["doc"],
+        unit=measure.metadata["unit"],
+        doc=measure.metadata["doc"],
         optional=True,
-        derived=attrgetter(f"quality.{one.name}"),
+        derived=attrgetter(f"quality.{measure.name}"),
     )
-    for one in fields(Quality)
+    for measure in fields(Quality)
 )
 _SOURCE = (
     Column("start_qpos", "float64", ("nq",), "m, quaternions", "where the rope was laid at rest"),
@@ -148,7 +148,7 @@ STATES = Schema(
     (
         *map(_finite, _ROOT),
         *_MEASURES,
-        *(_finite(one)._replace(name=f"source/{one.name}", optional=True) for one in _SOURCE),
+        *(_finite(c)._replace(name=f"source/{c.name}", optional=True) for c in _SOURCE),
     ),
     "a rope at rest",
 )

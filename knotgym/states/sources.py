@@ -53,9 +53,9 @@ SPLITS = Kinds(
         "test-code": Split("test", by_code=True, of_pictures=True, tested_on="test-code"),
     },
 )
-STATE_SPLITS = tuple(name for name, one in SPLITS.items() if one.is_made)
+STATE_SPLITS = tuple(name for name, split in SPLITS.items() if split.is_made)
 # of pictures: test-code has held-out codes, test-nx a held-out crossing number
-IMAGE_SPLITS = (*(name for name, one in SPLITS.items() if one.of_pictures), "test-nx")
+IMAGE_SPLITS = (*(name for name, split in SPLITS.items() if split.of_pictures), "test-nx")
 
 SETS = {"readable": "states.h5"}  # included sets: name -> file
 SETS |= {name: f"{name}.h5" for name in ("random-walk", "hard-unknots", "bench")}
@@ -89,9 +89,9 @@ class Source(NamedTuple):
 
     def function(self, which: str) -> Callable[..., Any]:
         """Return `rows` or `splits`, imported if it is named."""
-        found: Any = getattr(self, which)
-        assert found is not None  # GenerateConfig refuses sources that have none
-        return resolve_name(found) if isinstance(found, str) else found
+        function: Any = getattr(self, which)
+        assert function is not None  # GenerateConfig refuses sources that have none
+        return resolve_name(function) if isinstance(function, str) else function
 
 
 _ROPES = "All frames of a rope are in one split."
@@ -208,9 +208,9 @@ def resolve(named: str | os.PathLike[str] | None, *files: str) -> Path:
     if not files or not path.is_dir():
         return path
     places = [folder / name for name in files for folder in (path, path / "data")]
-    found = next((one for one in places if one.exists()), places[0])
-    require_no_links(path, [found])
-    return found
+    wanted = next((place for place in places if place.exists()), places[0])
+    require_no_links(path, [wanted])
+    return wanted
 
 
 def states_mark(named: str | os.PathLike[str] | None) -> str:

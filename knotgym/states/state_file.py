@@ -95,7 +95,7 @@ class States:
         curves, splits = np.asarray(points, dtype=np.float64), np.asarray(split, dtype=np.str_)
         if curves.ndim != 3 or curves.shape[2] != 3 or not len(curves):
             raise InvalidInput(f"points must have shape (n, beads, 3), got {curves.shape}")
-        known = [name for name, one in SPLITS.items() if one.of_states]
+        known = [name for name, record in SPLITS.items() if record.of_states]
         if splits.shape not in ((), (len(curves),)) or not np.isin(splits, known).all():
             raise InvalidInput(
                 f"split must be {' or '.join(known)}, one for all or one for each of"
@@ -175,9 +175,9 @@ class States:
         that are rarest in train, up to a quarter of the diagrams of the nx; train keeps at least
         one diagram. Loops and curls have a single diagram each and are in both.
         """
-        own = SPLITS[split]
-        rows = np.flatnonzero((self.nx == nx) & (self.split == own.base))
-        if not own.by_code or nx < 2:
+        record = SPLITS[split]
+        rows = np.flatnonzero((self.nx == nx) & (self.split == record.base))
+        if not record.by_code or nx < 2:
             return rows
         train, test = (self.diagrams(self.rows(nx, split)) for split in STATE_SPLITS)
         # diagrams of test in the order in which they are held out: absent from train first
@@ -189,8 +189,8 @@ class States:
             for rank, form in enumerate(rarest)
             if form not in train or (rank < wanted and {*train} - {*rarest[: rank + 1]})
         }
-        here = train if own.trains else test
-        return rows[[(form in held) != own.trains for form in here]]
+        here = train if record.trains else test
+        return rows[[(form in held) != record.trains for form in here]]
 
     def diagrams(self, rows: NDArray[np.int64]) -> list[GaussCode]:
         """Return the codes of rows up to symmetry, see `topology.canonical`."""

@@ -68,7 +68,7 @@ def _write_files(
         file = target / f"{name}.h5" if target.is_dir() else target
         write_episodes(file, [dataset.episodes], dataset.task, {**dataset.facts, **kept}, pack=pack)
         size += file.stat().st_size
-    episodes = sum(one.episodes.episodes.rows for one in datasets)
+    episodes = sum(map(len, datasets))
     files = f" in {len(datasets)} files" if target.is_dir() else ""
     return f"{episodes} episodes{files}, {size / 1e6:.1f} MB"
 
@@ -81,7 +81,7 @@ def _names_apart(paths: Sequence[Path]) -> list[str]:
     """
     parts = [path.absolute().parts for path in paths]
     for count in range(2, max(map(len, parts)) + 1):
-        names = ["-".join(own[-count:]) for own in parts]
+        names = ["-".join(path_parts[-count:]) for path_parts in parts]
         if len({name.casefold() for name in names}) == len(names):
             return names
     raise InvalidInput(f"names can't tell {', '.join(map(str, paths))} apart; rename one")
@@ -112,8 +112,8 @@ def export_help() -> str:
     """Return the formats in words, for the help of `knotgym dataset export`."""
 
     says = (
-        f"{name} ({one.says}{f'; extra {one.extra}' if one.extra else ''})"
-        for name, one in EXPORTS.items()
+        f"{name} ({record.says}{f'; extra {record.extra}' if record.extra else ''})"
+        for name, record in EXPORTS.items()
     )
     return f"Format: {', '.join(says)}."
 

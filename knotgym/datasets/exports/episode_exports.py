@@ -114,7 +114,7 @@ def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
         Occupied: a file exists, and `overwrite` is False.
     """
     dataset = _only(source)
-    shown, count = dataset.task.observation, dataset.episodes.episodes.rows
+    shown, count = dataset.task.observation, len(dataset)
     shows = OBSERVATIONS[shown].parts or (shown,)
     looks = [name for name in shows if OBSERVATIONS[name].ogbench is not None]
     if count < 2 or not looks:
@@ -151,7 +151,7 @@ def to_worldmodel(source: Located, target: Path, _: Replay) -> str:
         InvalidInput: several datasets.
     """
     dataset = _only(source)
-    episodes, rows = dataset.episodes, dataset.episodes.episodes.rows
+    episodes, rows = dataset.episodes, len(dataset)
     lengths = np.diff(episodes.offsets)
     with h5py.File(target, "w", libver="latest") as file:  # the reader asks for SWMR
         file["ep_len"], file["ep_offset"] = lengths.astype(np.int32), episodes.offsets[:-1]

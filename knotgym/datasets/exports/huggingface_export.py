@@ -80,7 +80,7 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
         write_gallery(folder / "gallery.png", states)
     cards.write_text(folder / "CITATION.cff", cards.citation_file(source.title))
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
-    engines = [one.task.engine for one in datasets]
+    engines = [dataset.task.engine for dataset in datasets]
     engines += [] if states is None else [states.engine]
     # an episode of T steps has T + 1 rows, one for each state
     words = {"steps": "states in episodes"}
@@ -100,13 +100,13 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
 
 def _facts(datasets: Sequence[EpisodeDataset]) -> str:
     """Return what `dataset show` says of episodes, a column for each dataset, in Markdown."""
-    every = [show_episodes(one) for one in datasets]
+    every = [show_episodes(dataset) for dataset in datasets]
     rows = [
-        (name, *(cards.plain(in_words(one[name])) for one in every))
+        (name, *(cards.plain(in_words(facts[name])) for facts in every))
         for name in every[0]
-        if name not in _OF_FILES and any(in_words(one[name]) for one in every)
+        if name not in _OF_FILES and any(in_words(facts[name]) for facts in every)
     ]
-    return "\n".join(cards.table(("", *(cards.plain(one.name) for one in datasets)), rows))
+    return "\n".join(cards.table(("", *(cards.plain(dataset.name) for dataset in datasets)), rows))
 
 
 def _tables(
@@ -114,20 +114,21 @@ def _tables(
 ) -> Iterator[tuple[str, str, Iterable[Table]]]:
     """Yield config, split and tables of each Parquet file."""
     if states is not None:
-        for split in (name for name, one in SPLITS.items() if one.of_states):
+        for split in (name for name, record in SPLITS.items() if record.of_states):
             part = states.take(np.flatnonzero(states.split == split)).table
             yield "states", split, [part] if part.rows else []
-    if len({one.task.engine for one in datasets}) > 1:
+    if len({dataset.task.engine for dataset in datasets}) > 1:
         raise InvalidInput("episodes exported together are of one engine; export each by itself")
-    pictures = all("picture" in OBSERVATIONS[one.task.observation].goal for one in datasets)
-    stored = {name: values for one in datasets for name, values in one.episodes.steps.items()}
+    pictures = all("picture" in OBSERVATIONS[dataset.task.observation].goal for dataset in datasets)
+    tables = [dataset.episodes.steps for dataset in datasets]
+    stored = {name: table[name] for table in tables for name in table}
     lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
     rows = ROWS_OF_STEPS.with_own(stored)
     schema = rows.without(*lacking, *([] if pictures else ["image"]))
-    for split in dict.fromkeys(one.task.split for one in datasets):
-        of_split = [one for one in datasets if one.task.split == split]
-        tables = (part for one in of_split for part in _step_tables(one, schema, pictures))
-        yield "steps", split.replace("-", "_"), tables  # Hugging Face's splits have no dashes
+    for split in dict.fromkeys(dataset.task.split for dataset in datasets):
+        of_split = [dataset for dataset in datasets if dataset.task.split == split]
+        parts = (part for dataset in of_split for part in _step_tables(dataset, schema, pictures))
+        yield "steps", split.replace("-", "_"), parts  # Hugging Face's splits have no dashes
 
 
 def _card(
@@ -168,7 +169,7 @@ def _step_tables(dataset: EpisodeDataset, schema: Schema, pictures: bool) -> Ite
         schema: of the file; optional columns that the dataset lacks hold their value for unknown.
         pictures: whether it has them.
     """
-    count, offsets = dataset.episodes.episodes.rows, dataset.episodes.offsets
+    count, offsets = len(dataset), dataset.episodes.offsets
     for first in range(0, count, _AT_ONCE):
         Counts.tell("writing steps", Counts.from_now(int(offsets[first])), int(offsets[-1]))
         part = dataset.select(np.arange(first, min(first + _AT_ONCE, count)))

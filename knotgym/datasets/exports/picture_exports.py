@@ -67,7 +67,7 @@ def to_coco(source: Located, folder: Path, _: Replay) -> str:
                 raise InvalidInput(f"{source.title} has no masks for COCO, which photos have")
             name, size = f"{split}/{number:06d}.png", row["appearance"]["size"]
             (folder / name).write_bytes(row["image"])
-            facts = {one: row[one] for one in _TOLD}
+            facts = {name: row[name] for name in _TOLD}
             picture = {"id": number, "file_name": name, "width": size, "height": size, "license": 1}
             coco["images"].append(picture | facts)
             for annotation in _annotations(row):
@@ -122,7 +122,7 @@ def _splits(source: Located) -> Iterator[tuple[str, int, Iterator[dict[str, Any]
 def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield rope, strands and crossings."""
     strands = decode(row["strands"])[..., 0]
-    for strand in (0, *(one["strand"] for one in row["boxes"])):
+    for strand in (0, *(box["strand"] for box in row["boxes"])):
         mask = strands == strand if strand else strands > 0
         y, x = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
         if not len(y):
