@@ -25,9 +25,6 @@ Seed = int | np.random.Generator
 Options = Mapping[str, Any] | None
 Meanwhile = Callable[[], None] | None
 
-# arrays that stay as they are when episodes begin or are copied; every other has a row per rope
-_OF_BATCH = frozenset({"number", "_texts", "_old_texts"})
-
 
 class EpisodeBatch:
     """A batch of `count` independent episodes; the arrays have one row per rope.
@@ -85,10 +82,6 @@ class EpisodeBatch:
         self.centre, self.forces = np.zeros((2, count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.applied_shares = np.ones(count)
-        # Gauss code, the same with chirality, and the goal's, as text; made again where they are
-        # old, because most steps change few codes
-        self._texts = np.full((3, count), None, dtype=object)
-        self._old_texts = np.ones(count, dtype=bool)
         self._fresh: dict[str, NDArray[Any]] = {}  # a row of each array, before any episode
 
     # beginning
@@ -208,7 +201,7 @@ class EpisodeBatch:
         """Replace the goals' codes of ropes; `goal_row` and the goals' pictures stay."""
         visits = CodeArrays.of(goals, self.wanted.shape[1] // 2).visits
         self._widen(visits.shape[1])
-        self.wanted[ids], self._old_texts[ids] = visits, True
+        self.wanted[ids] = visits
         self._read(ids)
 
     def copy_from(self, other: "EpisodeBatch", rows: Ids, ids: Ids) -> None:
@@ -219,15 +212,15 @@ class EpisodeBatch:
         other._widen(width)
         for name, column in self._per_rope():
             column[ids] = getattr(other, name)[rows]
-        self._old_texts[ids] = True
         self.view.reset(ids)
 
     def _per_rope(self) -> list[tuple[str, NDArray[Any]]]:
-        """Return the arrays that have a row per rope, by their names; a subclass may add some."""
-        arrays = {
-            name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)
-        }
-        return [(name, array) for name, array in arrays.items() if name not in _OF_BATCH]
+        """Return the arrays that have a row per rope, by their names; a subclass may add some.
+
+        The episodes' numbers stay as they are when episodes begin or are copied.
+        """
+        arrays = [(name, of) for name, of in vars(self).items() if isinstance(of, np.ndarray)]
+        return [(name, array) for name, array in arrays if name != "number"]
 
     # acting
 
@@ -377,12 +370,9 @@ class EpisodeBatch:
             signs = cut(self.signs[ids], Observer.SYMBOLS // 2)
             shown = cut(self.visits[ids]), signs, cut(self.wanted[ids])
         else:
-            old = ids[self._old_texts[ids]]
-            self._old_texts[old] = False
-            seen, goals = self.visits[old], self.wanted[old]
-            codes = CodeArrays(seen), CodeArrays(seen, self.signs[old]), CodeArrays(goals)
-            self._texts[:, old] = [arrays.texts() for arrays in codes]
-            shown = self._texts[0, ids], self._texts[1, ids], self._texts[2, ids]
+            seen = self.visits[ids]
+            chiral, goals = CodeArrays(seen, self.signs[ids]), CodeArrays(self.wanted[ids])
+            shown = CodeArrays(seen).texts(), chiral.texts(), goals.texts()
         infos = {
             "gauss_code": shown[0],
             "gauss_code_chiral": shown[1],
@@ -405,8 +395,6 @@ class EpisodeBatch:
         points, threads = self.simulation.points, self.simulation.threads
         codes = CodeArrays.read(points, self.visits.shape[1] // 2, threads, ids)
         self._widen(codes.visits.shape[1])
-        self._old_texts[ids] |= (codes.signs != self.signs[ids]).any(axis=1)
-        self._old_texts[ids] |= (codes.visits != self.visits[ids]).any(axis=1)
         self.visits[ids], self.signs[ids], self.crossings[ids] = codes
         self.shown[ids] = Situation.shown(self.task, codes.visits, self.wanted[ids])
 
