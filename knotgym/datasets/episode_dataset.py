@@ -296,9 +296,8 @@ def open_episodes(source: Any) -> EpisodeDataset:
         task = common.from_json(TaskConfig, attributes["task"])
     (rows, steps), _ = read(path, *(schema.sized(beads=task.beads) for schema in _FORMS[form]))
     lengths = rows["length"]
-    if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
-        raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
-    if int(lengths.sum()) + rows.rows != steps.rows:
+    is_longer = lengths.max(initial=-1) >= steps.rows  # so that no sum overflows
+    if is_longer or int(lengths.sum()) + rows.rows != steps.rows:
         raise InvalidFile(f"{path} has {steps.rows} rows of steps, not those of its episodes")
     opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
     if "setup" in rows or "tasks" in attributes:

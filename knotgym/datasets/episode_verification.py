@@ -139,12 +139,10 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     advised = np.nanmax(np.abs(steps.get("expert_action", np.zeros(0))), initial=0)
     far = np.abs(steps["force"]).max(initial=0) > 1
     absent = steps["bead"].max(initial=0) >= dataset.task.beads
-    negative = (rows["seed"] < -1).any() or (rows["planner_steps"] < 0).any()
     led = "macro_side" not in steps or _fit_macros(dataset)
     wrong = {
         "a pull is of a bead or with a force that doesn't exist": far or absent,
         "an expert's action lies outside [-1, 1]": advised > 1,
-        "a seed or a number of planned pulls is negative": negative,
         "a pull isn't one of the macro-action that it belongs to": not led,
     }
     yield from (f"{dataset.path}: {fault}" for fault, is_wrong in wrong.items() if is_wrong)

@@ -67,7 +67,6 @@ class EpisodeBatch:
             name: np.unique(np.concatenate([side.rows for side in same]))
             for name, same in zip(("start", "goal"), zip(*self._sides, strict=True), strict=True)
         }
-        self._other_goals: dict[tuple[int, str], Ids] = {}
         self._clearances: dict[int, float] = {}
         # goal row -> its picture, and how its episodes look
         self._goal_images: dict[int, tuple[NDArray[np.uint8], Any]] = {}
@@ -98,11 +97,7 @@ class EpisodeBatch:
         """Return the goals of a single task for an episode that starts in row `start`."""
         if self.starts.nx[start] != goals.nx:
             return goals.rows
-        code = str(self.starts.gauss_code[start])
-        if (goals.nx, code) not in self._other_goals:
-            differs = self.goals.gauss_code[goals.rows] != code
-            self._other_goals[goals.nx, code] = goals.rows[differs]
-        return self._other_goals[goals.nx, code]
+        return goals.rows[self.goals.gauss_code[goals.rows] != self.starts.gauss_code[start]]
 
     def side_codes(self, side: str) -> list[GaussCode]:
         """Return the distinct codes of the "start" or "goal" states, without chirality, sorted."""
