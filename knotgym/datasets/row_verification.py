@@ -82,16 +82,18 @@ def _state_faults(states: States) -> Iterator[str]:
     if states.engine not in ENGINES:
         yield f"states.h5: engine must be one of {', '.join(ENGINES)}, got {states.engine!r}"
         return
-    rope, needed = Rope(RopeConfig.of(beads)), {*_NEEDED}
+    rope, unneeded = Rope(RopeConfig.of(beads)), list[str]()  # how names of columns begin
     # states by vertices have no measures, and files of earlier versions lack new ones
     if states.by_vertices or states.quality:
-        needed = {name for name in needed if not name.startswith("quality/")}
+        unneeded.append("quality/")
     sources = {SOURCES.get(name) for name in states.source.get("policy", ())}
     if all(source is not None and source.draws_actions for source in sources):
-        needed.discard("source/actions")
+        unneeded.append("source/actions")
     if not states.source:  # nobody simulated them, see `States.from_points`
-        needed = {name for name in needed if not name.startswith("source/")}
-    lacking = sorted(needed - {*states.table})
+        unneeded.append("source/")
+    lacking = [
+        name for name in sorted(_NEEDED - {*states.table}) if not name.startswith((*unneeded,))
+    ]
     yield from (f"states.h5: {name} is missing" for name in lacking)
     if states.qpos.shape[1] != rope.nq:
         yield f"states.h5: qpos has {states.qpos.shape[1]} numbers a row, should have {rope.nq}"

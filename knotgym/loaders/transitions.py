@@ -118,44 +118,39 @@ class Transitions(Outcomes):
 
     def _check(self, seen: TaskConfig) -> None:
         """Refuse settings that don't go together or that the dataset has no columns for."""
-        steps, window, path = self.dataset.episodes.steps, self.window, self.dataset.path
-        if window is not None and not isinstance(window, Window):
+        steps, path = self.dataset.episodes.steps, self.dataset.path
+        window = Window() if self.window is None else self.window
+        if not isinstance(window, Window):
             raise InvalidInput(f"window must be such as Window(n_step=5), got {window!r}")
-        goals = window is not None and window.goals is not None
-        chunk = window is not None and window.chunk is not None
-        refusals = {
-            f"the expert's actions are pulls: use labels without action {self.action!r}": (
-                self.leads and self._labels
-            ),
-            f"{path} doesn't record macro-actions: use action 'pull' or 'bead', or collect it with"
-            " a policy that acts in macro-actions": self.leads and "macro_start" not in steps,
-            "actions that follow one another are seen from where each begins: leave out chunk and"
-            " history, or use frame 'world' and another action than 'decision'": (
-                (seen.is_canonical or self._view.relative)
-                and (chunk or (window is not None and window.history is not None))
-            ),
-            "the expert's actions lead to the episode's own goal: use labels without relabel": (
-                self._labels and self._relabelled
-            ),
-            f"{path} has no expert actions: collect it with --set labels=expert": (
-                self._labels and "expert_action" not in steps
-            ),
-            f"{path} has states without expert actions, of sets that were collected without": (
-                self._labels and bool(np.isnan(steps.get("expert_action", 0.0)).any())
-            ),
-            "sampled goals replace the episodes': leave out relabel and labels": (
-                goals and (self._labels or self._relabelled)
-            ),
-            "the expert's actions don't follow one another: leave out chunk": (
-                chunk and self._labels
-            ),
-            "other goals bring their own rewards: leave out reward": (
-                self._reward is not None and (goals or self._relabelled)
-            ),
-        }
-        for refusal, refused in refusals.items():
-            if refused:
-                raise InvalidInput(refusal)
+        goals, chunk = window.goals is not None, window.chunk is not None
+        labels, relabelled = self._labels, self._relabelled
+        if self.leads and labels:
+            why = f"the expert's actions are pulls: use labels without action {self.action!r}"
+        elif self.leads and "macro_start" not in steps:
+            why = (
+                f"{path} doesn't record macro-actions: use action 'pull' or 'bead', or collect it"
+                " with a policy that acts in macro-actions"
+            )
+        elif (seen.is_canonical or self._view.relative) and (chunk or window.history is not None):
+            why = (
+                "actions that follow one another are seen from where each begins: leave out chunk"
+                " and history, or use frame 'world' and another action than 'decision'"
+            )
+        elif labels and relabelled:
+            why = "the expert's actions lead to the episode's own goal: use labels without relabel"
+        elif labels and "expert_action" not in steps:
+            why = f"{path} has no expert actions: collect it with --set labels=expert"
+        elif labels and np.isnan(steps["expert_action"]).any():
+            why = f"{path} has states without expert actions, of sets that were collected without"
+        elif goals and (labels or relabelled):
+            why = "sampled goals replace the episodes': leave out relabel and labels"
+        elif chunk and labels:
+            why = "the expert's actions don't follow one another: leave out chunk"
+        elif self._reward is not None and (goals or relabelled):
+            why = "other goals bring their own rewards: leave out reward"
+        else:
+            return
+        raise InvalidInput(why)
 
     def __reduce__(self) -> Any:
         """Pickle what was opened, so that each process maps the file itself."""
