@@ -64,7 +64,7 @@ KINDS = {
     "merge": Kind(f"dataset merge {{s}}/sets/{ID} {{s}}/sets/{OTHER} --out {{o}}"
                   " --id knotgym/x-v0"),
     "delete": Kind("dataset delete {s}/set --rows 0 --out {o}.h5"),
-    "import": Kind("dataset import {s}/curves.npz --out {o}.h5"),
+    "import": Kind("dataset import {s}/curve.npy --out {o}.h5"),
     "compact": Kind("dataset export {s}/set --to compact --out {o}"),
     "recording": Kind(f"dataset export {{s}}/sets/{ID} --to recording --out {{o}}.h5"),
     "ogbench": Kind(f"dataset export {{s}}/sets/{ID} --to ogbench --out {{o}}"),
@@ -229,7 +229,7 @@ def sources(*numbers: int) -> Iterator[tuple[Path, Callable[..., list[str]], Cha
             warm(words.format(n=number, o=given / str(number)).split())
         for number in numbers:
             points = read_states(given / str(number) / "set/states.h5").points
-            np.savez(given / str(number) / "curves.npz", *points)
+            np.save(given / str(number) / "curve.npy", points[0])
         yield Path(name), typed, server
 
 
