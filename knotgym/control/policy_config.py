@@ -3,6 +3,7 @@
 Whether a policy of that name exists is found out when it is made, see `policies`.
 """
 
+from contextlib import suppress
 from math import inf
 from pathlib import Path
 from pkgutil import resolve_name
@@ -80,19 +81,17 @@ class PolicyConfig:
     @property
     def plans(self) -> bool:
         """Whether the policy searches, so that an episode takes far longer than its pulls."""
-        try:
+        with suppress(InvalidPolicy):  # a name that another machine knows, such as in an entry
             return bool(self._family().plans)
-        except InvalidPolicy:  # a name that another machine knows, such as in an entry
-            return False
+        return False
 
     @property
     def is_own(self) -> bool:
         """Whether it is one of the package's own names, so that the seed decides what it does."""
-        try:
+        with suppress(InvalidPolicy):
             family = self._family()
-        except InvalidPolicy:
-            return False
-        return family.matches is None and family.make.__module__.startswith("knotgym.")
+            return family.matches is None and family.make.__module__.startswith("knotgym.")
+        return False
 
     @property
     def short(self) -> str:

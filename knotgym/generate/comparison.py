@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from knotgym.common import InvalidFile, InvalidInput, Mark, from_json, one_line, require_regular
+from knotgym.common import InvalidFile, InvalidInput, Mark, one_line, require_regular
 from knotgym.generate.entries import read_entry, states_digests
-from knotgym.generate.episode_configs import EvaluateConfig
-from knotgym.generate.results import Result, evaluation_in
+from knotgym.generate.results import Result, read_evaluation
 from knotgym.rope import ENGINES
 from knotgym.runs import Difference, narrow_table
 
@@ -61,10 +60,7 @@ def _scores_in(path: Path) -> list[_Score]:
                     f"{path} is neither an entry of `knotgym evaluate --record` nor a file of --out"
                     ", or it is damaged"
                 )
-        with evaluation_in(path) as (content, results):
-            config = from_json(EvaluateConfig, content["config"])
-            digests = dict((content["source"] or {}).get("states", {}))
-            engine = str(content.get("engine", ""))
+        config, results, digests, engine, _ = read_evaluation(path)
     rules = Mark.values(config.task, "rules", "physics") | {"states": sorted(digests.values())}
     scores = []
     for result in results:

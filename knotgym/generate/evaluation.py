@@ -26,7 +26,7 @@ from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.collection import blocks
 from knotgym.generate.entries import write_entry
 from knotgym.generate.episode_configs import PROTOCOLS, EvaluateConfig
-from knotgym.generate.results import Result, evaluation_in, reached, show
+from knotgym.generate.results import Result, reached, read_evaluation, show
 from knotgym.rope import ENGINES
 
 # fields of a learner's card
@@ -205,16 +205,15 @@ def _recipe(
 
 def _finished(out: Path, beside: Mapping[str, Path]) -> list[Result]:
     """Return the results of a finished evaluation; what was asked for beside it must be its own."""
-    with evaluation_in(out) as (content, results):
-        known = dict(content.get("beside", {}))
+    evaluated = read_evaluation(out)
     for kind, more in beside.items():
-        if not more.is_file() or sha256(more) != known.get(kind):
+        if not more.is_file() or sha256(more) != evaluated.beside.get(kind):
             fault = "is another's" if os.path.lexists(more) else "isn't there"
             raise Occupied(
                 f"{out} is finished already, but {more} {fault}; --overwrite without --resume makes"
                 " both again"
             )
-    return results
+    return evaluated.results
 
 
 def _claims(

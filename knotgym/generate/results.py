@@ -1,13 +1,10 @@
 """Results of an evaluation: one per policy and setup, printed beside reference scores."""
 
 import json
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +22,7 @@ from knotgym.common import (
 )
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig, task_sides
+from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.rope import ENGINES, MUJOCO
 from knotgym.runs import cluster_interval, narrow_table
 from knotgym.states import SPLITS
@@ -128,24 +126,37 @@ def reached(played: Columns) -> dict[str, int]:
     return {"reached the goal": int(played["episodes/success"].sum())}
 
 
-@contextmanager
-def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
-    """Give the content of a file of `knotgym evaluate --out`, and its results.
+class Evaluated(NamedTuple):
+    """A file of `knotgym evaluate --out`.
 
-    Raises:
-        InvalidFile: it is no such file, or what is looked up in the block isn't there.
+    Attributes:
+        config: what was evaluated.
+        results: one for each setup.
+        states: digests of the sets of states.
+        engine: digest of what the engine did; "" if the file doesn't say it.
+        beside: digests of what was written with it.
     """
+
+    config: EvaluateConfig
+    results: list[Result]
+    states: dict[str, str]
+    engine: str
+    beside: dict[str, str]
+
+
+def read_evaluation(path: Path) -> Evaluated:
+    """Read a file of `knotgym evaluate --out`; raise InvalidFile if it is no such file."""
     raised = ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError
     with InvalidFile.instead(f"{path} isn't a file of `knotgym evaluate --out`", *raised):
         content = read_json(path)
         results = [from_json(Result, result) for result in content["results"]]
-        config = content["config"]
-        policies = [policy["policy"] for policy in config["policies"]]
-        several = policies, *(config[name] for name in ("tasks", "splits", "nx"))
-        setups = [(result.policy, result.task, result.split, result.nx) for result in results]
-        if math.prod(map(len, several)) != len(setups) or [*product(*several)] != setups:
+        config = from_json(EvaluateConfig, content["config"])
+        states = dict((content["source"] or {}).get("states", {}))
+        engine, beside = str(content.get("engine", "")), dict(content.get("beside", {}))
+        setups = [(p.policy, t.task, t.split, t.nx) for p, t in config.setups()]
+        if setups != [(r.policy, r.task, r.split, r.nx) for r in results]:
             raise InvalidInput("its results aren't those of its configuration's setups")
-        yield content, results
+        return Evaluated(config, results, states, engine, beside)
 
 
 def show(

@@ -68,24 +68,22 @@ def identity(
     Args:
         config: its configuration.
         files: others that are read, by names; nested as in `source`. Texts stay as they are.
-        also: configurations of what else is read.
+        also: of other policies whose files are read.
         fields: what of the configuration determines the output, as JSON; all by default.
 
     Raises:
         MissingFile, InvalidFile: a file can't be read.
         InvalidPolicy: nor that of a policy.
     """
-    sources: Any = {}
-    for part in (config, *also):
-        states = [named for _, _, named in Mark.fields(type(part), part, "states")]
+    sources: dict[str, Any] = {}
+    if states := [named for _, _, named in Mark.fields(type(config), config, "states")]:
         pairs = [("shipped" if is_bundled(s) else "own", resolve_states(s)) for s in states]
-        if states:
-            sets = by_name([*sources.get("states", {}).items(), *pairs])
-            sources = merged(sources, {"states": sets})
+        sources["states"] = by_name(pairs)
+    for part in (config, *also):
         for _, owner, named in Mark.fields(type(part), part, "policy"):
-            sources = merged(sources, {"policies": {named: owner.files()}})
+            sources.setdefault("policies", {})[named] = owner.files()
     if used := plugins():
-        sources = merged(sources, {"plugins": used})
+        sources["plugins"] = used
     sources = merged(sources, files or {})
     whole = {
         "config": as_json(config) if fields is None else fields,
