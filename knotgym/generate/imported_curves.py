@@ -195,10 +195,9 @@ def _iterate(p: Array, length: float) -> None:
                 # there is no kink at reach; dividing by the distance normalizes (x, y).
                 if distance > 1e-9:
                     strength = _PUSH * (1 - distance / _REACH) ** 2 * length / distance
-                    move[i, 0] += strength * x
-                    move[i, 1] += strength * y
-                    move[j, 0] -= strength * x
-                    move[j, 1] -= strength * y
+                    for k, away in enumerate((x, y)):
+                        move[i, k] += strength * away
+                        move[j, k] -= strength * away
         for i in range(n):
             for k in range(3):
                 p[i, k] += min(_MOST * length, max(-_MOST * length, move[i, k]))
@@ -231,9 +230,6 @@ def _restore_lengths(p: Array, length: float, passes: int) -> None:
             x, y, z = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
             now = np.sqrt(x * x + y * y + z * z)
             part = 0.5 * (now - length) / max(now, 1e-12)
-            p[i, 0] += part * x
-            p[i, 1] += part * y
-            p[i, 2] += part * z
-            p[j, 0] -= part * x
-            p[j, 1] -= part * y
-            p[j, 2] -= part * z
+            for k, along in enumerate((x, y, z)):
+                p[i, k] += part * along
+                p[j, k] -= part * along
