@@ -136,8 +136,7 @@ def rollouts(
     """
     task = policy.compatible_task(task)
     wanted = seeds.rows if isinstance(seeds, Table) else len(seeds)
-    seeds = seeds if wanted else [0]  # a batch has at least one rope
-    todo = max(1, wanted)
+    seeds, todo = (seeds, wanted) if wanted else ([0], 1)  # a batch has at least one rope
     most = _MOST_BYTES // ((task.horizon + 1) * (12 * task.beads + 256))  # all steps kept
     batch = EpisodeBatch(task, max(1, min(lanes, todo, most)))
     coming = _Coming(batch, seeds)
@@ -179,11 +178,12 @@ def rollouts(
 def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pulls:
     """Return a copy of a player's pulls, if they can be made."""
     try:
-        n, arrays = len(pulls.ids), [pulls.ids, pulls.beads]
-        arrays += [] if pulls.macros is None else [pulls.macros]
-        fits = all(array.dtype == np.int64 for array in arrays)
-        fits = fits and [a.shape for a in arrays] == [(n,), (n,), (n, 4)][: len(arrays)]
-        fits = fits and pulls.forces.dtype == np.float32 and pulls.forces.shape == (n, 3)
+        n = len(pulls.ids)
+        arrays: list[Any] = [(pulls.ids, np.int64, (n,)), (pulls.beads, np.int64, (n,))]
+        arrays.append((pulls.forces, np.float32, (n, 3)))
+        if pulls.macros is not None:
+            arrays.append((pulls.macros, np.int64, (n, 4)))
+        fits = all(array.dtype == kind and array.shape == shape for array, kind, shape in arrays)
         # in increasing order, and among those that were asked
         fits = fits and bool(np.array_equal(pulls.ids, playing[np.isin(playing, pulls.ids)]))
         fits = fits and bool((np.abs(pulls.forces) <= 1).all())

@@ -66,8 +66,8 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> runs.Rec
             calls.append(runs.Call(name, _play, (*setup, few, seed, recorded), len(few)))
     rest = map(Episodes.of, (yield calls))
     played = [Episodes.merged([*islice(rest, len(parts))]) for parts in numbers]
-    calls = []
-    for number, (setup, episodes) in enumerate(zip(setups, played, strict=True), 1):
+    calls, shown = [], zip(setups, played, strict=True) if filmed else ()
+    for number, (setup, episodes) in enumerate(shown, 1):
         some: Sequence[int] = range(filmed)
         if config.failures:
             some = np.flatnonzero(~episodes.episodes["success"])[:filmed].tolist()
@@ -75,7 +75,7 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> runs.Rec
         calls.append(runs.Call(name, _play, (*setup, some, seed, True), len(some)))
     if filmed and not any(call.items for call in calls):
         raise Failed("every episode reached its goal, so there is no failure to film")
-    films = map(Episodes.of, (yield calls if filmed else []))
+    films = map(Episodes.of, (yield calls))
     results = []
     for (policy, task), episodes in zip(setups, played, strict=True):
         action = make_policy(policy).compatible_task(task).action
