@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from textwrap import TextWrapper, fill
+from textwrap import fill
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,10 +24,6 @@ from knotgym.states import read_states, resolve
 Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
 _WIDTH, _GAP = 80, 3  # characters of a line, and between columns
-# paths stay whole, to be copied
-_FACTS = TextWrapper(
-    _WIDTH, subsequent_indent=" " * 21, break_on_hyphens=False, break_long_words=False
-)
 
 
 def print_summary(named: str, console: Console) -> None:
@@ -145,8 +141,7 @@ def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
     """Print a line for each fact that is known."""
     for name, value in facts.items():
         if text := in_words(value):
-            for line in _FACTS.wrap(f"{name:20} {text}"):
-                _say(console, line)
+            _say(console, f"{name:20} {text}", " " * 21)
 
 
 def _print_table(
@@ -167,6 +162,8 @@ def _print_table(
         console.print(table)
 
 
-def _say(console: Console, line: str) -> None:
-    text = fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
+def _say(console: Console, line: str, indent: str = "") -> None:
+    # paths stay whole, to be copied
+    whole: Any = {"break_long_words": False, "break_on_hyphens": False}
+    text = fill(line, _WIDTH, subsequent_indent=indent, **whole)
     console.print(text, highlight=False, markup=False, soft_wrap=True)

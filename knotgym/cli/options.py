@@ -159,8 +159,8 @@ def command(
         # a terminal breaks paragraphs and entries by its own width
         doc = _run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))
         _run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        vars(_run).update(sections=sections, known=known)
-        vars(_run).update(__signature__=inspect.Signature(parameters))
+        signature = inspect.Signature(parameters)
+        vars(_run).update(sections=sections, known=known, __signature__=signature)
         help = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
         name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
