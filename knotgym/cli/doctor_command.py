@@ -50,16 +50,13 @@ def _measured() -> Iterator[tuple[str, str]]:
     """Yield the name and the digest of each row of `EXPECTED`, in its order."""
     from knotgym.control import PolicyConfig, make_policy, rollouts
     from knotgym.envs import Marked, TaskConfig
-    from knotgym.rope import CHAIN, MUJOCO, EngineName, RopeConfig, simulation_of
+    from knotgym.rope import CHAIN, MUJOCO, RopeConfig, simulation_of
 
     known = states.read_states(states.shipped(), images=False)
     rng = np.random.default_rng(0)
     shown: list[Any] = [known.points]
-    plans: list[tuple[EngineName, str, int, tuple[int, ...]]] = [
-        (CHAIN, "chain engine", _ROPES, (1, 9, 60)),
-        (MUJOCO, "MuJoCo", _FEW, (1, 30)),
-    ]
-    for engine, title, count, stops in plans:
+    chain, mujoco = (CHAIN, "chain engine", _ROPES, 1, 9, 60), (MUJOCO, "MuJoCo", _FEW, 1, 30)
+    for engine, title, count, *stops in (chain, mujoco):
         ropes = simulation_of(count, RopeConfig(), engine)
         ropes.set_qpos(known.qpos[:: len(known) // count][:count])
         for action in range(1, stops[-1] + 1):
