@@ -147,10 +147,9 @@ class Moves:
         self.templates = [PassTemplate(*template) for template in templates]
         self.nodes: list[Diagram] = []
         self.index: dict[Diagram, int] = {}
-        self.nx: list[int] = []
         self._first: list[int] = []  # of each node, the first index of an equal one
-        self.rows = np.zeros((0, 5), np.int64)
-        self._arrange(rows)
+        new = [(self._add(before), move, self._add(after), *n) for before, move, after, *n in rows]
+        self._arrange(np.array(new, np.int64).reshape(-1, 5))
 
     @staticmethod
     @lru_cache
@@ -298,16 +297,11 @@ class Moves:
             letters = GaussCode.letters_of(signs >> k & 1 for k in range(count // 2))
             darts = tuple(d for d in range(max(2, 2 * count)) if outer >> d & 1)
             table._append(Diagram(GaussCode.trusted(tuple(visits[:count]), letters), darts))
-        table.rows = np.stack([outcomes[name] for name in _NAMES], axis=1).astype(np.int64)
-        table._arrange(())
+        table._arrange(np.stack([outcomes[name] for name in _NAMES], axis=1).astype(np.int64))
         return table
 
-    def _arrange(self, rows: Iterable[MoveRow]) -> None:
-        new = [
-            (self._add(before), move, self._add(after), *counts)
-            for before, move, after, *counts in rows
-        ]
-        table = np.concatenate([self.rows, np.array(new, np.int64).reshape(-1, 5)])
+    def _arrange(self, table: NDArray[np.int64]) -> None:
+        """Take the outcomes, as in `rows`, of nodes that are there."""
         # sorted by before, move, after: the outcomes of a move lie together, as `reduceat` needs,
         # and the file is the same however the rows came
         self.rows = table = table[np.lexsort((table[:, 2], table[:, 1], table[:, 0]))]
@@ -336,7 +330,6 @@ class Moves:
     def _append(self, node: Diagram) -> None:
         self._first.append(self.index.setdefault(node, len(self.nodes)))
         self.nodes.append(node)
-        self.nx.append(node.nx)
 
 
 def _arcs(hundredths: int) -> float:
