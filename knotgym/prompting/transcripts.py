@@ -108,7 +108,7 @@ def show_transcripts(named: str | Path) -> tuple[dict[str, Any], list[tuple[str,
     task = config.get("task")  # none where pictures were read
     task = task and {name: task[name] for name in ("task", "nx", "split")}
     facts = {"model": config["chat"]["model"], "mode": config["mode"], "task": task}
-    table = [] if "actions" in transcripts[0] else reading_table(reading_scores(transcripts))
+    table = [] if "actions" in transcripts[0] else _reading_table(reading_scores(transcripts))
     return {**facts, **summarize(transcripts)}, table
 
 
@@ -217,7 +217,7 @@ def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[s
     }
 
 
-def reading_table(scores: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
+def _reading_table(scores: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
     """Return the rows of a table of `reading_scores`, its head first."""
     return [_HEAD] + [
         (key, f"{means['pictures']:.0f}", *(f"{100 * means[name]:.1f} %" for name in _HEAD[2:]))
