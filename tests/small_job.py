@@ -1,5 +1,6 @@
 """The main job, small enough for tests, and commands typed in this or another process."""
 
+import errno
 import fnmatch
 import os
 import signal
@@ -32,6 +33,11 @@ def knotgym(*arguments: object) -> int:
 def typed(*arguments: object) -> list[str]:
     """The same as a command line for another process."""
     return [sys.executable, "-m", "knotgym", *map(str, arguments)]
+
+
+def full_disk(*_: object, **__: object) -> None:
+    """Stand for whatever writes to a disk that is full."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def staging_of(out: Path) -> Path:

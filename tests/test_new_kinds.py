@@ -17,7 +17,7 @@ from knotgym.adapters import goal_env
 from knotgym.common import InvalidInput, Mark, configuration
 from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
-from knotgym.envs import OBSERVATIONS, EpisodeBatch, TaskConfig
+from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.generate import CollectConfig, collect
 from knotgym.loaders import Symmetries, Transitions, Window, arrays
 from knotgym.quality import Limits, Quality
@@ -211,33 +211,6 @@ def test_a_limit_is_a_maximum_if_its_type_says_so(kind: str, faults: list[str] |
             More.only(writhe=1.0).faults(state, 0)
     else:
         assert More.only(writhe=1.0).faults(state, 0) == faults
-
-
-def test_an_option_of_a_policy_is_in_the_default_id(tmp_path: Path) -> None:
-    names = set()
-    for noise in (0.1, 0.3):
-        policy = PolicyConfig(policy="random", noise=noise)
-        names.add(
-            collect(CollectConfig(task=TASK, policy=policy, episodes=1), tmp_path, ALONE).name
-        )
-    assert len(names) == 2
-
-
-def test_an_array_with_a_row_per_rope_goes_with_its_episode() -> None:
-    class Moody(EpisodeBatch):
-        def __init__(self, *given: Any) -> None:
-            super().__init__(*given)
-            self.mood = np.zeros(self.count)
-
-    one, other = Moody(TASK, 2), Moody(TASK, 2)
-    for batch in (one, other):
-        batch.begin(np.arange(2), [3, 4])
-    other.mood[:], other.number[:] = 7, 9
-    one.copy_from(other, np.array([0]), np.array([1]))
-    assert one.mood.tolist() == [0, 7] and one.seed.tolist() == [3, 3]
-    assert one.number.tolist() == [-1, -1]
-    one.begin(np.array([1]), [5])  # and isn't left over for the next one
-    assert one.mood.tolist() == [0, 0]
 
 
 def test_a_stride_of_windows(monkeypatch: Patch) -> None:

@@ -8,15 +8,11 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
-import knotgym
 from knotgym.control import PolicyConfig, make_policy, rollouts
-from knotgym.datasets import MinariMetadata, open_episodes, publish
+from knotgym.datasets import MinariMetadata, publish
 from knotgym.envs import TaskConfig
-from knotgym.loaders import to_d3rlpy
-from knotgym.play import Recorder, Session
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/clients.md").read_text(encoding="utf-8")
@@ -46,33 +42,10 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-@pytest.fixture(scope="module")
-def played_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a home folder in which the dataset of the page was pulled by hand in the chain."""
-    home = tmp_path_factory.mktemp("played")
-    with Recorder(TASK, 0, ID, "Ann", home / "minari") as recorder:
-        for number in range(12):  # OGBench's files put every tenth episode aside
-            session = Session(TASK, 0, number)
-            bead, points = 5 * number, np.asarray(session.points).reshape(-1, 3)
-            across = points.mean(axis=0) - points[bead]  # some ropes end with crossings
-            force = (*(1.4 * across / np.linalg.norm(across)).clip(-1, 1)[:2].tolist(), 0.4)
-            for _ in range(3 if number % 2 == 0 else TASK.horizon):
-                session.pull(bead, force)
-            recorder.finish(number, session.pulls)
-    return home
-
-
-PLAYED = ("Minari", "TorchRL", "OGBench", "LeRobot")  # read datasets, those played by hand, too
-
-
 @pytest.mark.clients
-@pytest.mark.parametrize(
-    ("client", "home"),
-    [*((one, "room") for one in NEEDS), *((one, "played_room") for one in PLAYED)],
-)
-def test_the_lines_of_the_page_run(client: str, home: str, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize("client", NEEDS)
+def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
     pytest.importorskip(NEEDS[client])
-    room = request.getfixturevalue(home)
     environment = {
         **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
         "HOME": str(room),
@@ -94,20 +67,6 @@ def test_the_lines_of_the_page_run(client: str, home: str, request: pytest.Fixtu
     for words in [*commands, *([sys.executable, "-c", block] for block in blocks)]:
         ended = subprocess.run(words, cwd=room, env=environment, capture_output=True, text=True)
         assert ended.returncode == 0, ended.stderr[-2000:]
-
-
-@pytest.mark.clients
-def test_d3rlpy_trains_on_the_single_pulls_of_a_hand_played_dataset(
-    played_room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    d3rlpy = pytest.importorskip("d3rlpy")
-    monkeypatch.chdir(tmp_path)  # d3rlpy writes logs into the current folder
-    folder = played_room / "minari" / ID
-    buffer = to_d3rlpy(folder, observation="state")
-    assert buffer.transition_count == open_episodes(folder).episodes.episodes["length"].sum()
-    d3rlpy.algos.BCConfig().create().fit(buffer, n_steps=20, n_steps_per_epoch=20)
-    with pytest.raises(knotgym.InvalidInput, match="doesn't record macro-actions"):
-        to_d3rlpy(folder, observation="marked", action="decision", frame="canonical")
 
 
 @pytest.mark.clients

@@ -55,17 +55,14 @@ def test_show_and_verify_take_an_id_or_a_path_and_say_what_they_found(
     ("words", "stages"),
     [
         (("verify", ID), ("episodes played again", "codes read again", "comparing Minari's form")),
-        (("verify", STATES), ("states checked",)),
         (
             ("merge", *TINY.values(), "--id", "knotgym/again-v0", "--out"),
             ("writing Minari's form",),
         ),
         (("export", ID, "--to", "ogbench", "--out"), ("drawing episodes",)),
         (("export", ID, "--to", "minari", "--out"), ("copying datasets",)),
-        (("export", ID, "--to", "columns", "--out"), ("writing datasets",)),
         (("page", ID, "--out"), ("episodes of the page",)),
         (("page", STATES, "--out"), ("shapes of the page",)),
-        (("gallery", STATES, "--out"), ("drawing diagrams",)),
         (("import", "curve.csv", "--out"), ("relaxing curves",)),
     ],
 )
@@ -81,7 +78,7 @@ def test_what_takes_long_with_much_data_counts_what_is_done(
             told.setdefault(stage, []).append((done() if callable(done) else done, total))
 
     monkeypatch.setattr(Progress, "stage", hear)
-    ends = {"page": "a.html", "gallery": "a.png", "import": "a.h5", "columns": "a.h5"}
+    ends = {"page": "a.html", "import": "a.h5"}
     out = [next((end for name, end in ends.items() if name in words), "out")]
     assert knotgym("dataset", *words, *(out if "--out" in words else [])) == 0
     for stage in stages:

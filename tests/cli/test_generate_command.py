@@ -10,15 +10,13 @@ import minari
 import mujoco
 import numpy as np
 import pytest
-from pytest_types import Capture, Patch
+from pytest_types import Patch
 
 import knotgym as package
 from knotgym.cli.generate_command import _code_list
 from knotgym.common import InvalidInput, sha256
 from knotgym.rope import Rope
 from knotgym.states import States, read_states
-
-from ..small_job import knotgym
 
 
 @pytest.fixture(scope="module")
@@ -96,17 +94,6 @@ def test_minari_loads_the_trajectories_of_one_split(
 
 
 # What is refused.
-
-
-def test_too_few_attempts_are_a_failure_that_can_be_resumed(tmp_path: Path, capfd: Capture) -> None:
-    # no rope has a clearance of 1000 mm
-    hard = ("--set", "limits.clearance=1000.0", "--set", "attempts=1", "--no-demonstrations")
-    words = ("--nx", 0, "--count", 1, *hard, "--workers", 1, "--quiet")
-    out = tmp_path / "runs" / "a"
-    assert knotgym("generate", *words, "--out", out) == 1
-    (line,) = capfd.readouterr().err.splitlines()
-    assert line.startswith("knotgym: missing states: 1 with nx = 0; give --resume")
-    assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
 
 
 def test_a_list_of_codes_may_be_sampled_and_filtered(tmp_path: Path, monkeypatch: Patch) -> None:

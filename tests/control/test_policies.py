@@ -94,13 +94,7 @@ class Own:
 
     # what shares what it returns, and changes or keeps what it is given
 
-    buffer = np.zeros(6, np.float32)
     kept = tuple[NDArray[np.float32], ...]()
-
-    @classmethod
-    def reuses(cls, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        cls.buffer[:] = _pull_of(observation)
-        return cls.buffer
 
     @staticmethod
     def mutates(observation: NDArray[np.float32], info: dict[str, Any], rng: Any) -> Any:
@@ -185,7 +179,7 @@ def test_an_episode_depends_on_its_own_seed_alone(name: str) -> None:
     assert (many.episodes["length"] <= TASKS[name].horizon).all()
 
 
-@pytest.mark.parametrize("name", ["reuses", "mutates", "keeps", "aliases", "shares"])
+@pytest.mark.parametrize("name", ["mutates", "keeps", "aliases", "shares"])
 def test_arrays_that_user_code_shares_or_changes_change_no_episode(name: str) -> None:
     seeds = [Stream.EPISODE.derived_seed(1, number) for number in range(256)]
     many = played(f"own:{name}", seeds, 256)

@@ -132,9 +132,7 @@ def shift(name: str, one: h5py.Group) -> None:
     ("named", "harm"),
     [
         (": total_steps isn't", entry("total_steps", 7)),
-        (": author isn't", entry("author", ["M"])),
         (": statistics isn't", entry("statistics", {})),
-        (": ref_max_score isn't", entry("ref_max_score", 9.0)),
         (": jpeg_encoding isn't", entry("jpeg_encoding", True)),
         ("env_spec", entry("env_spec", '{"id": "knotgym/Tie-v0", "entry_point": "os:system"}')),
         *(
@@ -145,7 +143,6 @@ def shift(name: str, one: h5py.Group) -> None:
             )
         ),
         ("rewards", array(lambda one: one.__delitem__("rewards"))),
-        ("infos/more", array(lambda one: one["infos"].create_dataset("more", (3,)))),
         ("main_data.hdf5", lambda data: (data / "main_data.hdf5").unlink()),
     ],
 )

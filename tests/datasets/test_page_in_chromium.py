@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,7 +14,7 @@ from knotgym.states import States, write_states
 from .. import chromium
 from ..chromium import Chromium
 from ..small_job import knotgym
-from .test_page import HOSTILE, Tags, hostile
+from .test_page import HOSTILE, hostile
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +23,6 @@ def run_page(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("page") / "page.html"
     assert knotgym("dataset", "page", curated, "--out", out, "--quiet") == 0
     return out
-
-
-@pytest.fixture(scope="module")
-def shown(run_page: Path) -> dict[str, Any]:
-    """The data of that page."""
-    found: dict[str, Any] = json.loads(Tags(run_page.read_text(encoding="utf-8")).data)
-    return found
 
 
 clients = pytest.mark.clients
@@ -87,29 +78,6 @@ def test_filters_filter(tab: Chromium, run_page: Path) -> None:
 
 
 @clients
-def test_a_measure_sorts_and_cuts(tab: Chromium, run_page: Path, shown: dict[str, Any]) -> None:
-    tab.open(run_page)
-    select = "document.querySelector('[data-filter=measure]')"
-    tab.ask(f"{select}.value = '0'; {select}.dispatchEvent(new Event('change'))")
-    rows = tab.ask("[...document.querySelectorAll('[data-row]')].map((one) => +one.dataset.row)")
-    values = [shown["states"][row]["q"][0] for row in rows]
-    assert len(rows) == 8 and values == sorted(values)
-    low = "document.querySelector('.ends input')"
-    tab.ask(f"{low}.value = 990; {low}.dispatchEvent(new Event('input'))")
-    assert 1 <= tab.ask(CARDS) < 8
-
-
-@clients
-def test_the_code_is_walked_in_step(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page, "#states/6")
-    tab.press(" ")
-    tab.until("document.querySelectorAll('#state-code .passed').length > 0")
-    place = "document.getElementById('place')"
-    tab.ask(f"{place}.value = 100; {place}.oninput()")
-    assert tab.ask("document.querySelectorAll('#state-code .passed').length") == 2
-
-
-@clients
 def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path) -> None:
     tab.open(run_page, "#episodes/2")
     before = tab.ask(LOOKS.format("film"))
@@ -122,21 +90,6 @@ def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path) -> None:
             " if (one.textContent === '1 ×') { one.click(); one.click(); }")  # fmt: skip
     tab.press(" ")
     tab.until(f"((of) => of[0] === of[1])({step}.split(' of '))")
-
-
-@clients
-def test_a_card_shows_its_whole_code_and_a_configuration_unfolds(
-    tab: Chromium, run_page: Path, shown: dict[str, Any]
-) -> None:
-    tab.open(run_page)
-    codes = tab.ask("[...document.querySelectorAll('.card b')].map((one) => one.textContent)")
-    assert codes == [row["code"] or "loop" for row in shown["states"]]
-    assert tab.ask("[...document.querySelectorAll('.card b')]"
-                   ".every((one) => one.scrollWidth <= one.clientWidth)")  # fmt: skip
-    tab.press("3")
-    tab.ask("document.querySelectorAll('#about details').forEach((one) => { one.open = true; })")
-    unfolded = tab.ask("[...document.querySelectorAll('#about pre')].map((one) => one.innerText)")
-    assert '"task": "tie"' in unfolded[0] and '"count": 4' in unfolded[1]
 
 
 @clients

@@ -13,7 +13,6 @@ from synthetic_pictures import picture_rows
 
 from knotgym.common import InvalidFile, Occupied
 from knotgym.control import replay
-from knotgym.datasets.croissant import write_croissant
 from knotgym.datasets.exports import export
 from knotgym.datasets.image_table import PictureRow, parquet, read_rows, read_table
 from knotgym.datasets.located import Located
@@ -92,16 +91,6 @@ def test_a_spoilt_answer_is_found(
 ) -> None:
     faults = _picture_faults(rows[0] | {column: change(rows)})
     assert any(fault.startswith(said) for fault in faults)
-
-
-def test_croissant_names_factors(rows: list[dict[str, Any]], folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "data").symlink_to(folder / "data")
-    write_croissant(tmp_path, "photos", "three photos", "photo")
-    described = json.loads((tmp_path / "croissant.json").read_text(encoding="utf-8"))
-    (table,) = described["recordSet"]
-    named = {one["name"].split("/")[-1] for one in table["field"]}
-    assert {f"photo.{factor}" for factor in rows[0]["photo"]} <= named
-    assert "photographed" in described["rai:dataLimitations"]
 
 
 def test_a_page_has_the_labels_of_each_photo(folder: Path, rows: list[dict[str, Any]]) -> None:

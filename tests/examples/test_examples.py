@@ -30,9 +30,7 @@ FOLDER = ROOT / "examples"
         ("32 generate --nx 4", (7, 1, 32), "generate --nx 4 --set run.shard=7/32"),
         ("32 generate --nx 4", (7, 7, 7), "generate --nx 4 --set run.shard=7/32"),  # alone
         ("32 generate --nx 4", (31, 0, 31), "tasks are numbered from 1 to 32, got 0 to 31"),
-        ("32 generate --nx 4", (40, 1, 40), "tasks are numbered from 1 to 32, got 1 to 40"),
         ("generate --nx 4", (7, 1, 32), "the first argument is the number of shards"),
-        ("", (7, 1, 32), "the first argument is the number of shards"),
     ],
 )
 def test_a_task_of_an_array_is_one_shard_of_a_fixed_number(

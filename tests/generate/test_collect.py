@@ -89,26 +89,6 @@ def test_the_dataset_has_its_id_and_holds_every_episode(tmp_path: Path) -> None:
     assert summary["steps"] == made.episodes.episodes["length"].sum()
 
 
-def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
-    states_path: str, tmp_path: Path
-) -> None:
-    task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
-    episodes = columns_of(collect(config(task=task, policy="scripted"), tmp_path, QUIET)).episodes
-    keywords = {name: value for name, value in vars(task).items() if name != "task"}
-    own, env = episodes.select([3]), gym.make("knotgym/Unknot-v0", **keywords)
-    row = {name: own.episodes[name][0] for name in ("seed", "start", "goal")}
-    for options in (None, {"start": int(row["start"]), "goal": int(row["goal"])}):
-        observation, info = env.reset(seed=int(row["seed"]), options=options)
-        assert (info["start"], info["goal"]) == (row["start"], row["goal"])
-        for step, action in enumerate(own.steps["action"][:-1]):
-            assert np.array_equal(observation[:300], own.steps["observation"][step].ravel())
-            observation, reward, terminated, truncated, info = env.step(action)
-            assert reward == own.steps["reward"][step]
-            assert terminated == own.steps["terminated"][step]
-            assert truncated == own.steps["truncated"][step]
-            assert info["bead"] == own.steps["bead"][step]
-
-
 def test_a_set_of_more_steps_begins_with_that_of_fewer(tmp_path: Path) -> None:
     made = {
         (steps, form): open_episodes(
@@ -137,11 +117,6 @@ def test_a_set_of_steps_is_verified_by_the_episodes_that_they_took(tmp_path: Pat
     write_episodes(open_episodes(made).path, [spoilt], found.task, found.facts)
     faults = verify(made)
     assert any("its seed is none of the run's" in fault for fault in faults), faults
-
-
-def test_progress_counts_episodes_not_blocks(tmp_path: Path, capfd: Capture) -> None:
-    collect(config(episodes=70), tmp_path, replace(QUIET, quiet=False))
-    assert "episodes: 70 of 70; reached the goal " in capfd.readouterr().err
 
 
 def test_bytes_do_not_depend_on_blocks(tmp_path: Path, monkeypatch: Patch) -> None:
@@ -243,7 +218,6 @@ def test_sets_of_several_tasks_are_collected_and_merged(tmp_path: Path, monkeypa
             ({name: value}, (None, None, None))  # other rules than the scores were measured with
             for name, value in {"horizon": 10, "failure_reward": 0.0, "max_goals": 3}.items()
         ),
-        ({"integrator_steps": 30}, (None, None, None)),
         ({"split": "train-code"}, (None, None, None)),
     ],
 )

@@ -71,12 +71,6 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -
     assert {"knotgym", "code", "mujoco"} <= held["versions"].keys()
 
 
-def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = evaluate(config(), QUIET)
-    monkeypatch.setattr(evaluating, "blocks", lambda *_: [range(4), range(4, 9)])
-    assert one == evaluate(config(), QUIET)
-
-
 def test_a_finished_evaluation_is_only_shown(tmp_path: Path, monkeypatch: Any) -> None:
     first = evaluate(config(), QUIET, out=tmp_path / "r.json")
     monkeypatch.setattr(evaluating, "_play", None)

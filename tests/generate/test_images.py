@@ -17,14 +17,14 @@ from knotgym.common import Failed, InvalidFile, InvalidInput
 from knotgym.datasets import PictureRow, decode, parquet, read_rows, read_table, shards
 from knotgym.generate import faults as dataset_faults
 from knotgym.generate.generate_config import ImagesConfig
-from knotgym.generate.image_recipe import _shown, _symmetry_of, make_images
+from knotgym.generate.image_recipe import make_images
 from knotgym.loaders import images as load
-from knotgym.quality import Limits, base_spacing, grade_of, measure
+from knotgym.quality import Limits, grade_of, measure
 from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs import RunOptions
-from knotgym.states import IMAGE_SPLITS, NEAR, Spectra, read_states, shipped
-from knotgym.topology import GaussCode, Symmetry, canonical, find_crossings, label
+from knotgym.states import IMAGE_SPLITS, NEAR, Spectra
+from knotgym.topology import GaussCode, Symmetry, canonical, label
 
 from ..small_job import knotgym
 
@@ -173,17 +173,6 @@ def test_unmarked_pictures_hold_out_diagrams(appearance: AppearanceConfig, tmp_p
     spoilt = table.set_column(table.column_names.index("split"), "split", [splits])
     (tmp_path / "spoilt.parquet").write_bytes(parquet(spoilt))
     assert any("another base" in fault for fault in dataset_faults(tmp_path / "spoilt.parquet"))
-
-
-def test_codes_of_turned_frames_are_those_of_the_moved_ropes() -> None:
-    rng, config = np.random.default_rng(0), ImagesConfig(nx=(3,))
-    for points in read_states(shipped("bench")).points[1024:2560:97]:
-        symmetries = rng.integers((2, 2, 2, 100), size=(8, 4))
-        moved = [_symmetry_of(one).vertices(points) for one in symmetries]
-        found = [(rope, find_crossings(rope)) for rope in moved]
-        far = [base_spacing(*one, [0])[0] >= config.limits.base_spacing for one in found]
-        codes = [str(one.code) if own else "-" for own, (_, one) in zip(far, found, strict=True)]
-        assert _shown(points, find_crossings(points), symmetries, config) == codes
 
 
 def test_codes_are_balanced(tmp_path: Path) -> None:

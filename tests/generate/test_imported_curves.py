@@ -69,22 +69,18 @@ ONE: dict[str, Callable[[Points], str | bytes]] = {
     "quoted numbers.csv": lambda p: table([[f'"{x}"' for x in row] for row in p]),
     "names after a mark.csv": lambda p: codecs.BOM_UTF8 + b"x,y,z\n" + table(p).encode(),
     "of a spreadsheet.txt": lambda p: table(p, "\t").encode("utf-16"),
-    "ends of Windows.csv": lambda p: table(p, end="\r\n"),
     "comments.csv": lambda p: "# a\n#\n" + table(p[:9]) + "# b\n" + table(p[9:], end=" # c\n"),
     "index of pandas.csv": lambda p: ",x,y,z\n" + table(numbered(p)),
     "curve and name.csv": lambda p: "curve,x,y,z\n" + table(numbered(p, "3_1#4_1")),
-    "semicolons.csv": lambda p: table(p, ";"),
     "empty rows at the end.csv": lambda p: table(p) + ",,\n,,\n\n",
     "repeated first point.csv": lambda p: table(closed(p)),
     "count from 1.tsv": lambda p: table(numbered(p, 1), "\t"),
     "spaces.txt": lambda p: table(p, " "),
-    "of savetxt.txt": lambda p: table([[f"{x:.18e}" for x in row] for row in p], " "),
     "fortran.dat": lambda p: "\n".join(
         " ".join(f"{value:.17e}".replace("e", "D") for value in row) for row in p
     ),
     "residues.xyz": lambda p: table(numbered(p, 17), " "),
     "molecule.xyz": lambda p: f"{len(p)}\na knot\n" + table(numbered(p, "C"), " "),
-    "molecule without a line for comments.xyz": lambda p: f"{len(p)}\n" + table(p, " "),
     "atoms.xyz": lambda p: f"{len(p)}\n1 2 3 4 5\n" + table(
         [["CN"[k % 2], *point] for k, point in enumerate(p)], " "
     ),
@@ -92,7 +88,6 @@ ONE: dict[str, Callable[[Points], str | bytes]] = {
     "count that begins again.csv": lambda p: table([*numbered(p, 1), [1, *p[0].tolist()]]),
     "float64.npy": npy,
     "integers.npy": lambda p: npy((p * 1e6).astype(np.int32)),
-    "one of one.npy": lambda p: npy(p[None]),
 }  # fmt: skip
 # the same of several curves with names of their own
 SEVERAL: dict[str, Callable[[Points, Points], str | bytes]] = {

@@ -9,19 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from knotgym.cli import main
 from knotgym.learn import read_photo
 from knotgym.photos import photograph
 from knotgym.states import read_states, shipped
 from knotgym.topology import label
 
+from ..small_job import knotgym
+
 pytestmark = pytest.mark.clients
-
-
-def command(*words: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["read", *map(str, words)])
-    return int(str(ended.value.code))
 
 
 def test_photos_are_read_into_json_and_csv(
@@ -39,7 +34,7 @@ def test_photos_are_read_into_json_and_csv(
     (photos / "c.png").write_bytes(b"none")
     (photos / "notes.txt").write_text("no picture")
     json_file, seen = tmp_path / "codes.json", tmp_path / "seen"
-    assert command(photos, "--out", json_file, "--overlay", seen) == 0
+    assert knotgym("read", photos, "--out", json_file, "--overlay", seen) == 0
     rows = json.loads(json_file.read_text())
     assert [Path(row["file"]).name for row in rows] == ["a.png", "b.jpg", "c.png"]
     assert [set(row) for row in rows] == [{"file", "ropes", "crossings", "closed", "reason"}] * 3
@@ -57,10 +52,12 @@ def test_photos_are_read_into_json_and_csv(
 
     whole = (photos / "a.png").read_bytes()
     for more in ((), ("--overwrite",)):  # the overlay of a.png would be a.png
-        assert command(photos, "--overlay", photos, *more) == 2
-    assert (photos / "a.png").read_bytes() == whole and command(photos, "--overlay", seen) == 2
-    assert command(photos / "b.jpg", "--out", json_file) == 2  # it exists
-    assert command(photos / "b.jpg", photos / "c.png", "--out", tmp_path / "codes.csv") == 0
+        assert knotgym("read", photos, "--overlay", photos, *more) == 2
+    assert (photos / "a.png").read_bytes() == whole and knotgym(
+        "read", photos, "--overlay", seen
+    ) == 2
+    assert knotgym("read", photos / "b.jpg", "--out", json_file) == 2  # it exists
+    assert knotgym("read", photos / "b.jpg", photos / "c.png", "--out", tmp_path / "codes.csv") == 0
     with (tmp_path / "codes.csv").open(newline="") as file:
         first, last = csv.DictReader(file)
     assert (first["rope"], first["closed"], first["gauss_code"]) == ("1", "False", "")
@@ -80,6 +77,6 @@ def test_mistakes_are_told_in_a_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    assert command(*words) == 2
+    assert knotgym("read", *words) == 2
     told = capsys.readouterr().err
     assert said in told and told.count("\n") == 1 and not any(tmp_path.iterdir())

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from knotgym.cli import main
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
 from knotgym.datasets import Episodes
 from knotgym.learn.training import Training
 from knotgym.learn.training_data import TrainingData
 from knotgym.states import shipped
 
-from ..small_job import staging_of
+from ..small_job import knotgym, staging_of
 from .conftest import CLONE, READER, TASK, break_off, published, put_card, train, weights
 
 pytestmark = pytest.mark.clients
@@ -123,15 +122,12 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
     other = tmp_path / "other"
     shutil.copytree(clone, other)
     put_card(other, trained_on=trained)
-    words = ["evaluate", "--policy", str(other), "--episodes", "1", "--workers", "1"]
-    few = ["--set", "task.horizon=2", "--out"]
+    words = "evaluate", "--policy", other, "--episodes", 1, "--workers", 1, "--set"
 
-    def status(name: str, *more: str) -> Any:
-        with pytest.raises(SystemExit) as ended:
-            main([*words, *more, *few, str(tmp_path / name)])
-        return ended.value.code
+    def status(name: str, *more: object) -> int:
+        return knotgym(*words, "task.horizon=2", *more, "--out", tmp_path / name)
 
-    def played(name: str, *more: str) -> Any:
+    def played(name: str, *more: object) -> Any:
         assert status(name, *more) == 0
         return json.loads((tmp_path / name).read_text())["config"]
 
@@ -142,7 +138,7 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
     assert said in "".join(capsys.readouterr())
     told = played("told.json", "--task", "tie", "--nx", "2", "--states", "readable")
     assert (told["tasks"], told["nx"], told["task"]["states"]) == (["tie"], [2], "readable")
-    both = played("both.json", "--policy", str(clone))
+    both = played("both.json", "--policy", clone)
     assert (both["tasks"], both["nx"], both["task"]["states"]) == (["tie"], [2], None)
     forgeries: list[tuple[Any, int]] = [("x", 0), ({"nx": "2"}, 0), ({"nx": [[]]}, 2)]
     for forged, expected in [*forgeries, ({"states": [7]}, 2), ({"tasks": ["\x1b[2J"]}, 2)]:
@@ -152,7 +148,7 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
         assert "Traceback" not in shown and "\x1b" not in shown
 
 
-@pytest.mark.parametrize("what", ["macro-actions", "success", "states"])
+@pytest.mark.parametrize("what", ["success", "states"])
 def test_training_resumes_with_its_files(what: str, played: Episodes, tmp_path: Path) -> None:
     out = tmp_path / "out"
     config, data, states = CLONE, [published(tmp_path, played)], tmp_path / "states.h5"
@@ -165,10 +161,7 @@ def test_training_resumes_with_its_files(what: str, played: Episodes, tmp_path: 
             shutil.copy(shipped("bench"), states)
             return
         other = played.select([0, 1, 2])
-        if what == "success":
-            other.episodes["success"][:] = True
-        else:
-            other.steps["macro_side"][:] *= -1
+        other.episodes["success"][:] = True
         shutil.rmtree(tmp_path / "knotgym")
         published(tmp_path, other)
 

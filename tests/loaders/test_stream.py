@@ -1,15 +1,7 @@
 """Streams: batches of episodes and pictures that are made as they are needed."""
 
-import json
 import multiprocessing
-import os
 import pickle
-import random
-import signal
-import subprocess
-import sys
-import time
-from contextlib import suppress
 from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
@@ -74,25 +66,6 @@ def test_pictures_are_those_of_the_train_split() -> None:
     assert set(first) == names
 
 
-def test_a_stream_says_what_its_first_batch_waits_for(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    played = DataStream._transitions
-
-    def slow(data: DataStream, number: int) -> Transitions:
-        time.sleep(0.5)
-        return played(data, number)
-
-    monkeypatch.setattr(DataStream, "_transitions", slow)
-    for seconds, count in ((60.0, 0), (0.1, 1)):
-        monkeypatch.setattr("knotgym.loaders.data_stream._SILENT", seconds)
-        assert [*islice(made(shuffled=1), 3)]
-        said = [one.getMessage() for one in caplog.records]
-        assert (
-            said == ["a stream makes its first block, 4 episodes, before it gives a batch"] * count
-        )
-
-
 def test_a_stream_goes_on_where_another_was() -> None:
     whole = [*islice(made(), 4)]
     first = made()
@@ -123,51 +96,6 @@ def test_windows_relabelling_and_own_rewards_reach_a_stream() -> None:
     own = made(reward=lambda episode, steps: np.full(int(episode["length"]), -0.5))
     rewards = next(iter(own))["rewards"]
     assert (rewards == -0.5).all()
-
-
-TRAINING = """
-import pickle, sys
-from pathlib import Path
-from torchdata.stateful_dataloader import StatefulDataLoader
-from knotgym.common import sha256
-from tests.loaders.test_stream import made
-
-folder, workers, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
-if __name__ == "__main__":
-    loader = StatefulDataLoader(made(), batch_size=None, num_workers=workers)
-    kept, done = folder / "state", 0
-    if kept.exists():
-        done, state = pickle.loads(kept.read_bytes())
-        loader.load_state_dict(state)
-    for batch in loader:
-        (folder / "now").write_bytes(pickle.dumps({k: v.numpy() for k, v in batch.items()}))
-        (folder / "now").rename(folder / str(done))
-        done += 1
-        (folder / "new").write_bytes(pickle.dumps((done, loader.state_dict())))
-        (folder / "new").rename(kept)
-        if done >= count:
-            break
-"""
-
-
-@pytest.mark.clients
-@pytest.mark.parametrize("workers", [1, 2, 4])
-def test_killed_trainings_see_the_batches_of_an_unbroken_one(tmp_path: Path, workers: int) -> None:
-    pytest.importorskip("torchdata")
-    kills, count, rng = int(os.environ.get("KILLS", "2")), 12, random.Random(workers)
-    command = [sys.executable, "-c", TRAINING, str(tmp_path), str(workers)]
-    for kill in range(kills):
-        wanted = (kill + 1) * count // (kills + 1)
-        child = subprocess.Popen([*command, str(count)], start_new_session=True)
-        while child.poll() is None and not (tmp_path / str(wanted)).exists():
-            time.sleep(0.01)
-        time.sleep(rng.random() * 0.2)
-        with suppress(ProcessLookupError):
-            os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
-    subprocess.run([*command, str(count)], check=True)
-    for number, right in enumerate(islice(made(), count)):
-        assert same(pickle.loads((tmp_path / str(number)).read_bytes()), right), number
 
 
 def counted(**words: Any) -> Any:
@@ -246,48 +174,6 @@ def test_passes_are_disjoint_complete_and_in_order(
             first = loader()
             first.load_state_dict(ended)
             assert [*first] == right[2]
-
-
-RANK = """
-import json, sys
-import torch
-from torch.utils.data import DataLoader
-from knotgym.generate import CollectConfig
-from knotgym.loaders import stream
-from knotgym.envs import TaskConfig
-
-def main(rank, folder, start, workers):
-    torch.distributed.init_process_group(
-        "gloo", init_method=f"file://{folder}/group", rank=rank, world_size=2
-    )
-    task = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=6)
-    data = stream(CollectConfig(task=task, policy="random"), 3, batch=8, block=4, batches=8)
-    vars(data)["_batch_of"] = int  # batches are their numbers
-    words = {"multiprocessing_context": start} if workers else {}
-    loader = DataLoader(data, batch_size=None, num_workers=workers, **words)
-    passes = [[*loader] for _ in range(2)]
-    torch.distributed.barrier()
-    torch.distributed.destroy_process_group()
-    open(f"{folder}/{rank}", "w").write(json.dumps(passes))
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), *sys.argv[2:4], int(sys.argv[4]))
-"""
-
-
-@pytest.mark.clients
-@pytest.mark.parametrize(("start", "workers"), [("none", 0), ("spawn", 2), ("forkserver", 2)])
-def test_the_ranks_of_a_process_group_share_each_pass(
-    start: str, workers: int, tmp_path: Path
-) -> None:
-    pytest.importorskip("torch")
-    (tmp_path / "rank.py").write_text(RANK)
-    words = [*map(str, (tmp_path, start, workers))]
-    begin = [sys.executable, str(tmp_path / "rank.py")]
-    ranks = [subprocess.Popen([*begin, str(rank), *words]) for rank in (0, 1)]
-    assert [one.wait(300) for one in ranks] == [0, 0]
-    passes = [json.loads((tmp_path / str(rank)).read_text()) for rank in (0, 1)]
-    assert passes == [[[*range(8 * k + rank, 8 * k + 8, 2)] for k in (0, 1)] for rank in (0, 1)]
 
 
 @pytest.mark.clients

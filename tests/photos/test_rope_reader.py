@@ -13,7 +13,7 @@ from torch import Tensor
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.learn import load_rope_reader
 from knotgym.photos import PhotoReading, photograph
-from knotgym.photos.line_mending import Line, _exchanged, mended
+from knotgym.photos.line_mending import Line, mended
 from knotgym.photos.rope_reader import _reading
 from knotgym.photos.strand_network import CELL, Fields
 from knotgym.states import States, read_states, shipped
@@ -94,18 +94,6 @@ def test_strands_that_cross_at_a_flat_angle_are_told_apart(degrees: int) -> None
     assert found.code is not None and str(found.code.plain.smallest()) in ("1-,1+", "1+,1-")
 
 
-def test_lines_that_touch_and_bend_away_cross_and_parallel_ones_stay() -> None:
-    way = np.linspace(-20.0, 20.0, 41)
-    for bend, crossings in ((1.0, 1), (0.0, 0)):
-        lines = [
-            Line(np.column_stack([way, side * (0.5 + bend * np.abs(way))]), False)
-            for side in (1.0, -1.0)
-        ]
-        found = _exchanged(lines)
-        flat = [np.column_stack([one.points, np.zeros(len(one.points))]) for one in found]
-        assert len(find_ropes_crossings(flat, False).sign) == crossings
-
-
 def test_a_strand_under_a_wide_rope_is_joined_and_one_that_ends_there_is_not() -> None:
     way, dark = np.arange(20.0, 108.0), np.zeros((SIDE // CELL, SIDE // CELL), np.float32)
     frame = np.array([0.0, 0.0, 127.0, 127.0])
@@ -117,22 +105,8 @@ def test_a_strand_under_a_wide_rope_is_joined_and_one_that_ends_there_is_not() -
     assert len(mended([wide, before, aside], dark, frame)) == 3
 
 
-def test_a_line_along_the_edge_of_the_picture_is_no_rope() -> None:
-    way, dark = np.arange(20.0, 108.0), np.zeros((SIDE // CELL, SIDE // CELL), np.float32)
-    for above, kept in ((3.0, 0), (9.0, 1)):
-        line = Line(np.column_stack([way, np.full(len(way), 127.0 - above)]), False)
-        assert len(mended([line], dark, np.array([0.0, 0.0, 127.0, 127.0]))) == kept
-
-
 @pytest.mark.parametrize(
-    "picture",
-    [
-        np.zeros((8, 8, 4), np.uint8),
-        np.zeros((8, 8, 3)),
-        np.zeros((0, 9, 3), np.uint8),
-        np.uint8(3),
-    ],
-    ids=["with alpha", "float", "empty", "a number"],
+    "picture", [np.zeros((8, 8, 4), np.uint8), np.zeros((8, 8, 3)), np.zeros((0, 9, 3), np.uint8)]
 )
 def test_a_picture_of_another_kind_is_refused(picture: Any) -> None:
     with pytest.raises(InvalidInput, match=r"uint8 of shape \(height, width, 3\), RGB, or"):

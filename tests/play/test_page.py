@@ -1,8 +1,6 @@
 """The page is attacked, and left."""
 
-import errno
 import http.client
-import os
 import signal
 import socket
 import subprocess
@@ -23,6 +21,8 @@ from knotgym.envs import TaskConfig
 from knotgym.play.hand import HandTab
 from knotgym.play.page import Page, serve
 from knotgym.play.page_config import PageConfig
+
+from ..small_job import full_disk
 
 pytestmark = pytest.mark.clients
 msgspec = pytest.importorskip("msgspec")
@@ -195,10 +195,7 @@ def test_a_full_disk_is_told_and_the_tab_goes_on(page: Page, monkeypatch: Patch)
     player, told = page.players[0], list[Any]()
     monkeypatch.setattr(player._client, "add_notification", lambda *said, **_: told.append(said))
 
-    def full() -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    player.wish = full
+    player.wish = full_disk
     until(lambda: told)
     assert "No space left" in told[0][1]
     still_plays(player)
@@ -207,16 +204,13 @@ def test_a_full_disk_is_told_and_the_tab_goes_on(page: Page, monkeypatch: Patch)
 def test_an_episode_that_could_not_be_stored_is_told_at_the_end(
     tmp_path: Path, monkeypatch: Patch
 ) -> None:
-    def full(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     config = PageConfig(task=TASK, port=free_port())
     with pytest.raises(Failed, match="episode 0 isn.t stored .*No space left"):
         with serve(config, print, "knotgym/tie-nx2/human-v0", tmp_path) as page:
             Tab(page)
             until(lambda: page.players)
             still_plays(page.players[0])
-            monkeypatch.setattr("knotgym.play.recorder.publish", full)
+            monkeypatch.setattr("knotgym.play.recorder.publish", full_disk)
 
 
 def test_a_taken_port_is_one_line(page: Page) -> None:

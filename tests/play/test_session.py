@@ -1,7 +1,5 @@
 """A hand-played episode: undo leaves no trace, and what is recorded is what a person pulled."""
 
-import errno
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,7 +17,7 @@ from knotgym.play.recorder import Recorder
 from knotgym.play.session import Session
 from knotgym.states import read_states, write_states
 
-from ..small_job import staging_of
+from ..small_job import full_disk, staging_of
 
 TASK = TaskConfig(task="tie", nx=1, observation="state", horizon=6)
 PULLS = ((3, (1, 0, 0.5)), (40, (-1, 0.2, 0)), (77, (0, 0.7, -1)))
@@ -107,11 +105,8 @@ def test_a_killed_session_loses_and_doubles_nothing(session: Session, tmp_path: 
 def test_an_episode_whose_storing_failed_has_its_last_pull_when_it_is_recovered(
     session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     played(session)
-    monkeypatch.setattr("knotgym.play.recorder.publish", full)
+    monkeypatch.setattr("knotgym.play.recorder.publish", full_disk)
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
         recorder.note(0, session.pulls[:-1])  # the tab notes all but the one that ends an episode
         with pytest.raises(OSError, match="No space"):

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import os
 import runpy
-import shutil
 import subprocess
 import sys
 import threading
@@ -353,15 +352,3 @@ def test_mujoco_refuses_to_draw_in_the_fork_of_a_process_that_drew() -> None:
         "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
     )
     assert done.stdout.strip() == "3"
-
-
-@gl
-@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="needs a display of X")
-def test_mujoco_draws_beside_a_window() -> None:
-    code = (
-        "import gymnasium as gym, knotgym; env = gym.make('knotgym/Tie-v0', nx=2,"
-        " renderer='mujoco', observation='pixels', render_mode='human'); env.reset(seed=0);"
-        " env.step(env.action_space.sample()); print('drawn')"
-    )
-    done = apart(code, "xvfb-run", "-a")
-    assert done.stdout.endswith("drawn\n") and "Traceback" not in done.stderr

@@ -95,7 +95,6 @@ def test_a_rope_laid_forgets_what_it_did_and_leaves_the_others(engine: str) -> N
         (np.full((2, 6), np.nan), r"numbers in \[-1, 1\]"),
         (np.array([[0.0] * 6, [0, 0, 0, 0, 0, 1.001]]), r"got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]"),
         (np.zeros((2, 5)), r"shape \(2, 5\) for 2 ropes"),
-        (np.zeros(6), r"shape \(6,\) for 2 ropes"),
     ],
 )
 def test_bad_actions_are_refused_nothing_moves(engine: str, actions: Array, message: str) -> None:

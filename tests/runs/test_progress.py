@@ -115,18 +115,6 @@ def test_what_is_counted_anywhere_is_shown_while_a_command_runs() -> None:
     assert told == ["drawing: 0 of 2", "drawing: 2 of 2"]
 
 
-def test_items_that_go_on_count_by_their_share_and_workers_start_before_the_first() -> None:
-    written, done, now = io.StringIO(), Counts.from_now(), [0.0]
-    progress = Progress(console=Console(file=written, width=200), clock=lambda: now[0])
-    with progress:
-        for now[0] in (0.0, 20.0, 40.0, 60.0):
-            progress.stage("playing", done, 2, lasts=4.0)
-            Counts.end_item(0.6)
-    told = [line[9:].partition("; time")[0] for line in written.getvalue().splitlines()]
-    first = "playing: 0 of 2; workers start, about 4 s left"
-    assert told == [first, *(f"playing: {count} of 2" for count in (0, 1, 1))]
-
-
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:
     assert "time left" not in shown(0, 0)
     assert "time left" not in shown(*[0] * 9, 1)  # compiling, starting workers
