@@ -51,6 +51,7 @@ def test_show_and_verify_take_an_id_or_a_path_and_say_what_they_found(
     assert said in capfd.readouterr().out
 
 
+@pytest.mark.usefixtures("sound")
 @pytest.mark.parametrize(
     ("words", "stages"),
     [

@@ -51,6 +51,7 @@ def test_metadata_that_are_not_the_run_s_or_the_task_s_are_faults(
     assert f"{name} is" in fault
 
 
+@pytest.mark.usefixtures("sound")
 @pytest.mark.parametrize("name", ["expert", "constant"])
 def test_who_names_another_policy_everywhere_is_found_out_or_only_claims(
     name: str, tmp_path: Path, capsys: Capture
@@ -184,7 +185,7 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
 def test_sets_of_several_tasks_are_collected_and_merged(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     rules = ("--set", "task.horizon=2", "--set", "task.max_goals=2")
-    words = ("--episodes", 9, "--policy", "random", "--engine", "chain", *rules)
+    words = ("--episodes", 9, "--policy", "random", "--engine", "chain", "--workers", 1, *rules)
     several = ("collect", "--task", "tie,convert", "--nx", "2,3", *words, "--observation", "state")
     assert knotgym(*several, "--quiet", "--id", "knotgym/one-v0") == 0
     assert knotgym(*several, "--quiet") == 0

@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pytest_types import Capture
@@ -30,16 +31,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return found
 
 
-def test_pairs_of_episodes_make_the_interval_narrower(made: Made) -> None:
-    first, second = _scores_in(made[0])
+@pytest.fixture(scope="module")
+def scores(made: Made) -> list[Any]:
+    """What the entry says, played again, and what the file of results says."""
+    return [_scores_in(path) for path in made]
+
+
+def test_pairs_of_episodes_make_the_interval_narrower(scores: list[Any]) -> None:
+    first, second = scores[0]
     together, is_paired = _difference(second, first)
     apart, is_not = _difference(second._replace(seed=1), first)
     assert is_paired and not is_not and together.mean == pytest.approx(apart.mean)
     assert apart.low < together.low < together.mean < together.high < apart.high
 
 
-def test_an_entry_compares_as_the_results_that_were_counted(made: Made) -> None:
-    entry, counted = (_scores_in(path) for path in made)
+def test_an_entry_compares_as_the_results_that_were_counted(scores: list[Any]) -> None:
+    entry, counted = scores
     for one, other in zip(entry, counted, strict=True):
         assert _difference(one, other)[0][:3] == pytest.approx((0, -0.04, 0.04), abs=0.04)
         assert one.cell == other.cell and one.result.outcomes == other.result.outcomes

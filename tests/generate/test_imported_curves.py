@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from pytest_types import Capture
+from pytest_types import Capture, Patch
 
 from knotgym.common import InvalidInput
 from knotgym.drawing import drawn_curve
@@ -145,7 +145,6 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("many.npy", npy(np.zeros((1_000_001, 3), np.int8)), "more than 1000000 points"),
     ("curves.csv", table([f"n{k}", 0, 0, 0] for k in range(20_001)), "20001 curves, more than"),
     ("knot.stl", "solid", "curves are read from .csv"),
-    ("lines.csv", "\n" * 1_000_001, "more than 1000000 lines"),
 ]
 
 
@@ -160,12 +159,15 @@ def test_what_is_no_closed_curve_is_refused_in_one_line(
     assert name in str(caught.value)
 
 
-def test_sizes_are_limited_before_anything_is_parsed(tmp_path: Path) -> None:
+def test_sizes_are_limited_before_anything_is_parsed(tmp_path: Path, monkeypatch: Patch) -> None:
     for name in ("a.csv", "a.npy"):
         with open(tmp_path / name, "wb") as file:
             file.truncate(64_000_001)
         with pytest.raises(InvalidInput, match="more than 64 MB"):
             read_curves(tmp_path / name)
+    monkeypatch.setattr("knotgym.generate.curve_files._MOST", 9)
+    with pytest.raises(InvalidInput, match="more than 9 lines"):
+        read_curves(wrote(tmp_path / "a.csv", "\n" * 10))
 
 
 @given(st.sampled_from(sorted(ONE)), st.lists(st.tuples(st.integers(0), st.binary(max_size=3))))

@@ -163,14 +163,14 @@ def test_a_server_that_rejects_every_request_ends_the_run_until_restarted(tmp_pa
 
     server, out = ChatServer(answer), tmp_path / "run"
     with server.serving():
-        own = config(server.url, episodes=24)
+        own = config(server.url, "open", episodes=24)
         for options in (QUIET, RESUME):
             with pytest.raises(InvalidInput, match="rejects all of 20 .* --restart"):
                 run_prompts(own, out, options)
         assert len(server.requests) == 20
         mended[0] = True
         run_prompts(own, out, RunOptions(quiet=True, restart=True))
-    assert json.loads((out / "result.json").read_text())["answers"] == {"valid": 96}
+    assert json.loads((out / "result.json").read_text())["answers"] == {"valid": 24}
 
 
 def test_side_by_side_gives_the_same_transcripts(tmp_path: Path) -> None:
