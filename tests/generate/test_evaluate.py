@@ -164,8 +164,8 @@ def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
 
 
 def test_failures_are_listed_by_goal_and_filmed(tmp_path: Path, capsys: Any) -> None:
-    words = "--nx 1 --engine chain --policy random --episodes 12 --set task.horizon=12"
-    words = f"{words} --workers 1".split()
+    line = "--nx 1 --engine chain --policy random --episodes 12 --set task.horizon=12 --workers 1"
+    words = line.split()
     with contextlib.chdir(tmp_path):
         films = ("--video", "f.gif", "--failures", "--record", "e.h5")
         assert knotgym("evaluate", *words, *films, "--out", "r.json") == 0
@@ -183,7 +183,7 @@ def test_failures_are_listed_by_goal_and_filmed(tmp_path: Path, capsys: Any) -> 
         assert sum(int(count) for _, count, _ in listed) == len(missed)
         shown = " ".join(capsys.readouterr().out.split())
         assert f"missed goals {listed[0][0]} {listed[0][1]} of {listed[0][2]}" in shown
-        easy = " ".join(words).replace("random", "expert").replace("=12", "=50").split()
+        easy = line.replace("random", "expert").replace("=12", "=50").split()
         assert knotgym("evaluate", *easy, "--video", "g.gif", "--failures") == 1
         assert "no failure to film" in capsys.readouterr().err and not Path("g.gif").exists()
 
