@@ -58,11 +58,6 @@ def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> N
     assert str(temporary) in ended.stdout and not any(temporary.iterdir())
 
 
-def test_datasets_do_not_import_the_environment() -> None:
-    above = {"knotgym.envs.environment", "knotgym.rope.interface", "mujoco"}
-    assert modules_after("import knotgym.states.state_file") & above == set()
-
-
 def test_the_main_job_imports_only_what_it_uses(tmp_path: Path) -> None:
     words = f"generate --nx 1 --count 1 --workers 1 --quiet --out {tmp_path / 'a'}"
     job = f"from knotgym.cli import main\ntry: main({words.split()})\nexcept SystemExit: pass"

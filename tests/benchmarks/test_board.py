@@ -89,48 +89,39 @@ def synthetic(folder: Path, name: str, change: Callable[[Said], object], first: 
     place.write_text(json.dumps(ledger))
 
 
-def _config(**values: Any) -> Callable[[Said], object]:
-    return lambda said: said["config"].update(values)
+def _set(*place: str | int, **values: Any) -> Callable[[Said], object]:
+    """Change values at a place in what an entry says."""
 
+    def change(said: Any) -> None:
+        for name in place:
+            said = said[name]
+        said.update(values)
 
-def _task(**values: Any) -> Callable[[Said], object]:
-    return lambda said: said["config"]["task"].update(values)
-
-
-def _claim(**values: Any) -> Callable[[Said], object]:
-    return lambda said: said["claimed"][0].update(values)
-
-
-def _named(name: str) -> Callable[[Said], object]:
-    return lambda said: said["config"]["policies"][0].update(policy=name)
-
-
-def _training(**values: Any) -> Callable[[Said], object]:
-    return lambda said: said["claimed"][0]["training"].update(values)
+    return change
 
 
 BOMB = [as_json(PolicyConfig(policy=f"a{k}:b")) for k in range(3000)]
 MARKUP = "a | **100** |\n| b | 1 |<script>x</script> **DiscreteBC** [x](y) `a`"
 # what a forgery is, how it is made, and what refuses it; None: it stands as text, in its own row
 FORGERIES: dict[str, tuple[Callable[[Said], object], str | None]] = {
-    "horizon": (_task(horizon=2000), "protocol code has task.horizon "),
-    "rope": (_task(rope={"max_force": 0.4}), "protocol code has task.rope "),
-    "split": (_config(splits=["train"]), "protocol code has split "),
+    "horizon": (_set("config", "task", horizon=2000), "protocol code has task.horizon "),
+    "rope": (_set("config", "task", rope={"max_force": 0.4}), "protocol code has task.rope "),
+    "split": (_set("config", splits=["train"]), "protocol code has split "),
     "subset": (
-        lambda said: (_config(episodes=240)(said), said.update({"rows": 240})),
+        lambda said: (_set("config", episodes=240)(said), said.update({"rows": 240})),
         "at least 256 episodes, got 240",
     ),
-    "no protocol": (_config(protocol="", seed=9), "names no protocol; .*seed 0, got 9"),
-    "sees the goal": (_claim(observation="state"), "observes state"),
-    "list of trainings": (_claim(training=[1]), "isn't an object"),
-    "random's name": (_named("random"), "other pulls than the policy random|ends otherwise"),
-    "expert's name": (_named("expert"), "isn't a known run|ends otherwise"),
-    "bomb of setups": (_config(policies=BOMB, tasks=["tie"] * 3000), "at most 4096 setups"),
-    "bomb of episodes": (_config(episodes=10**9), "asks for"),
+    "no protocol": (_set("config", protocol="", seed=9), "names no protocol; .*seed 0, got 9"),
+    "sees the goal": (_set("claimed", 0, observation="state"), "observes state"),
+    "list of trainings": (_set("claimed", 0, training=[1]), "isn't an object"),
+    "random's name": (_set("config", "policies", 0, policy="random"), "random|ends otherwise"),
+    "expert's name": (_set("config", "policies", 0, policy="expert"), "known run|ends otherwise"),
+    "bomb of setups": (_set("config", policies=BOMB, tasks=["tie"] * 3000), "at most 4096 setups"),
+    "bomb of episodes": (_set("config", episodes=10**9), "asks for"),
     "15 of 16 episodes": (lambda said: None, "hold the same episodes"),
-    "markup": (_training(learner=MARKUP), None),
-    "list of learners": (_training(learner=["a"]), None),
-    "list of data": (_training(data=["a"]), None),
+    "markup": (_set("claimed", 0, "training", learner=MARKUP), None),
+    "list of learners": (_set("claimed", 0, "training", learner=["a"]), None),
+    "list of data": (_set("claimed", 0, "training", data=["a"]), None),
 }
 
 

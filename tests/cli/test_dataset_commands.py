@@ -56,10 +56,7 @@ def test_show_and_verify_take_an_id_or_a_path_and_say_what_they_found(
     ("words", "stages"),
     [
         (("verify", ID), ("episodes played again", "codes read again", "comparing Minari's form")),
-        (
-            ("merge", *TINY.values(), "--id", "knotgym/again-v0", "--out"),
-            ("writing Minari's form",),
-        ),
+        (("merge", *TINY.values(), "--id", "a/b-v0", "--out"), ("writing Minari's form",)),
         (("export", ID, "--to", "ogbench", "--out"), ("drawing episodes",)),
         (("export", ID, "--to", "minari", "--out"), ("copying datasets",)),
         (("page", ID, "--out"), ("episodes of the page",)),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 from pathlib import Path
 
@@ -201,16 +200,6 @@ def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
     assert not [one for one in MARKUP if one in body]
     (title,) = [one for one in citation_file(HOSTILE).splitlines() if one.startswith("title: ")]
     assert json.loads(title.partition(": ")[2]).startswith("knotgym: <img")
-
-
-def test_a_card_says_what_the_dataset_shows(tmp_path: Path) -> None:
-    merge([EXPERT, str(TINY["random"])], tmp_path / "both.h5")
-    export(str(tmp_path / "both.h5"), tmp_path / "hub", "huggingface", replay)
-    card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
-    assert "engine chain" in card and "mujoco, s" not in card and "MuJoCo" not in card
-    assert "| policies | expert 3, random 3 |" in card and "| success_rate | " in card
-    assert re.search(r"\| distinct \| starts \d, goals \d, pairs \d \|", card)
-    assert (tmp_path / "hub" / "gallery.png").is_file() and "](gallery.png)" in card
 
 
 def test_minaris_folder_is_a_repository_of_the_same_bytes(root: Path, tmp_path: Path) -> None:

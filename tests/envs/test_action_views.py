@@ -1,6 +1,5 @@
 """Actions as pulls, as beads and bins, or as macro-actions: one rope, one data set, three views."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,25 +62,6 @@ def test_a_bead_action_pulls_that_bead(task: TaskConfig) -> None:
     assert info["force"] == pytest.approx(info["applied_share"] * largest * np.array([-1, 0, 1]))
 
 
-@pytest.mark.thorough
-def test_a_macro_action_ends_at_its_last_waypoint_or_after_ten_pulls(task: TaskConfig) -> None:
-    env = KnotEnv("tie", **settings(task, action="macro", horizon=500))
-    env.action_space.seed(0)
-    _, info = env.reset(seed=0)
-    assert info["macro_pulls"] == 0
-    used = []
-    for _ in range(15):
-        steps = int(env.episodes.steps[0])
-        _, _, terminated, _, info = env.step(env.action_space.sample())
-        used.append(info["macro_pulls"])
-        assert used[-1] == env.episodes.steps[0] - steps
-        arrived = bool(env.episodes.view.follower.idle[0])
-        assert arrived or terminated or used[-1] == ActionView.LONGEST
-        if terminated:
-            _, info = env.reset()
-    assert min(used) >= 1 and max(used) == ActionView.LONGEST and len(set(used)) > 2
-
-
 def test_the_horizon_counts_pulls(task: TaskConfig) -> None:
     env = KnotEnv("tie", **settings(task, action="macro", horizon=3))
     env.reset(seed=0)
@@ -130,12 +110,6 @@ def test_hindsight_cuts_macro_actions_where_the_goal_is_reached(played: Path) ->
     assert np.array_equal(macro.observations(0), pull.observations(0)[ends])
 
 
-def test_absent_macro_actions_are_refused(task: TaskConfig, played: Path, tmp_path: Path) -> None:
-    pulls = replace(task, action="pull", horizon=2)
-    write_episodes(
-        tmp_path / "pulls.h5", [rollouts(make_policy(PolicyConfig()), pulls, [0])], pulls
-    )
-    with pytest.raises(InvalidInput, match="doesn't record macro-actions: use action 'pull'"):
-        arrays(tmp_path / "pulls.h5", action="macro")
+def test_labels_are_pulls(played: Path) -> None:
     with pytest.raises(InvalidInput, match="the expert's actions are pulls"):
         arrays(played, labels=True)

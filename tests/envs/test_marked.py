@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.marked import TOKENS, Marked
 from knotgym.topology import GaussCode, Symmetry, label
+
+from ..topology.test_crossings import random_curve
 
 GOALS = [GaussCode.parse(text) for text in ("1+,2-,2+,1-", "1-,2+,1+,2-", "1+,1-,2-,2+", "")]
 SYMMETRIES = [
@@ -18,15 +19,7 @@ SYMMETRIES = [
 ]
 
 
-def tangles(count: int) -> NDArray[np.float64]:
-    """Smooth random closed curves with some crossings, (count, 100, 3)."""
-    rng = np.random.default_rng(0)
-    turn = 2 * np.pi * np.arange(100) / 100
-    modes = rng.normal(size=(count, 6, 2, 3)) * (0.1, 0.1, 0.02)
-    waves = np.stack([[np.cos(k * turn), np.sin(k * turn)] for k in range(1, 7)])
-    scale = 1 / np.arange(1, 7) ** 1.2
-    curves: NDArray[np.float64] = np.einsum("nkcd,kct,k->ntd", modes, waves, scale)
-    return curves
+ROPES = np.stack([random_curve(seed, modes=8) for seed in range(40)])
 
 
 def image(symmetry: Symmetry, goal: GaussCode) -> GaussCode:
@@ -36,7 +29,7 @@ def image(symmetry: Symmetry, goal: GaussCode) -> GaussCode:
 
 def pairs(symmetry: Symmetry) -> tuple[Marked, Marked]:
     """Observations of ropes, and of their images under a symmetry with the image of the goal."""
-    ropes = tangles(40)
+    ropes = ROPES
     goals = [GOALS[row % len(GOALS)] for row in range(len(ropes))]
     moved = np.stack([symmetry.vertices(rope) for rope in ropes])
     return Marked.of(ropes, goals), Marked.of(moved, [image(symmetry, goal) for goal in goals])
@@ -71,7 +64,7 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
 
 
 def test_marks_and_tokens_tell_the_code_that_the_points_show() -> None:
-    ropes, goals = tangles(40), [GOALS[row % 3] for row in range(40)]
+    ropes, goals = ROPES, [GOALS[row % 3] for row in range(40)]
     seen = Marked.of(ropes, goals)
     for points, marks, code in zip(*seen[:3], strict=True):
         visits = label(points).visits
@@ -83,7 +76,7 @@ def test_marks_and_tokens_tell_the_code_that_the_points_show() -> None:
 
 
 def test_parts_survive_the_vector() -> None:
-    seen = Marked.of(tangles(5), GOALS[:1] * 5)
+    seen = Marked.of(ROPES[:5], GOALS[:1] * 5)
     vector = seen.joined()
     assert vector.shape == (5, Marked.size(100)) and vector.dtype == np.float32
     again = Marked.split(vector)

@@ -2,7 +2,6 @@
 
 import json
 import os
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -48,15 +47,6 @@ def test_a_task_of_an_array_is_one_shard_of_a_fixed_number(
         command, capture_output=True, text=True, env={**os.environ, **given, "PATH": path}
     )
     assert said in run.stdout + run.stderr and run.returncode == 2 * ("run.shard" not in said)
-
-
-@pytest.mark.parametrize("script", ["to_lerobot", "perception/photos", "learners/offline_torch"])
-def test_without_its_library_an_example_ends_in_one_line(script: str, monkeypatch: Patch) -> None:
-    for missing in ("torch", "lerobot"):
-        monkeypatch.setitem(sys.modules, missing, None)
-    path = FOLDER / f"{script}.py"
-    with pytest.raises(SystemExit, match=rf"^{path.name} needs \w+: pip install '[^\n]+'$"):
-        runpy.run_path(str(path))
 
 
 @pytest.mark.clients

@@ -75,25 +75,15 @@ def test_recipes_of_the_page_train_and_play(library: str, room: Path, monkeypatc
 
 @pytest.mark.parametrize("action", ["decision", "macro"])
 @pytest.mark.parametrize(
-    "learner", ["BC", "GCBC", "NextBC", "Flow", "IQL", "TD3BC", "GCIVL", "CRL"]
+    "learner",
+    ["BC", "BC --observation state", "GCBC", "NextBC", "Flow", "IQL", "TD3BC", "GCIVL", "CRL"],
 )
 def test_a_learner_in_torch_trains_and_plays(
     learner: str, action: str, room: Path, monkeypatch: Patch
 ) -> None:
     pytest.importorskip("torch")
-    out = room / f"in_torch_{learner.lower()}_{action}.pt"
-    words = (learner, ID, "--action", action, "--updates", 2, "--width", 8, "--out", out)
-    run_script(FOLDER / "offline_torch.py", *words)
-    check_plays(out.stem, monkeypatch)
-
-
-@pytest.mark.parametrize("more", [(), ("--observation", "state")], ids=["code", "vertices"])
-def test_a_learner_sees_the_goal_as_it_is_told(
-    more: tuple[str, ...], room: Path, monkeypatch: Patch
-) -> None:
-    pytest.importorskip("torch")
-    out = room / "sees.pt"
-    words = ("BC", ID, *more, "--updates", 2, "--width", 8, "--out", out)
+    out, (name, *more) = room / "in_torch.pt", learner.split()
+    words = (name, ID, *more, "--action", action, "--updates", 2, "--width", 8, "--out", out)
     run_script(FOLDER / "offline_torch.py", *words)
     check_plays(out.stem, monkeypatch)
 

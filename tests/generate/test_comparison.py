@@ -76,11 +76,7 @@ def test_the_command_draws_each_difference(made: Made, capsys: Capture, tmp_path
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        (
-            '"policy": "random",\n   "task"',
-            '"policy": "ranLom",\n   "task"',
-            "aren't those of its configuration",
-        ),
+        ('"policy": "random",\n', '"policy": "ranLom",\n', "aren't those of its configuration"),
         ('"success_rate": 0.', '"success_rate": 0.1', "aren't those of its outcomes"),
     ],
 )

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
@@ -53,14 +54,8 @@ HARMS: list[tuple[str, Callable[[Path], Any]]] = [
         "changed or truncated",
         lambda folder: (folder / "weights.safetensors").write_bytes(weights(folder)[:-100]),
     ),
-    (
-        "places has numbers that aren't finite",
-        lambda folder: put_weights(folder, "places", lambda own: own * float("nan")),
-    ),
-    (
-        "places is float64 (3, 3), should be float32",
-        lambda folder: put_weights(folder, "places", lambda own: own.double()),
-    ),
+    ("aren't finite", lambda folder: put_weights(folder, "places", lambda own: own * np.nan)),
+    ("is float64 (3, 3), ", lambda folder: put_weights(folder, "places", lambda own: own.double())),
 ]
 
 

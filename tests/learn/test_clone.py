@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +9,12 @@ import pytest
 import torch
 
 from knotgym.common import InvalidInput, InvalidPolicy, Stream
-from knotgym.control import PassValues, PolicyConfig, Sight, make_policy, rollouts
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig
 from knotgym.learn.clone_network import CloneNetwork, inputs
-from knotgym.learn.clone_policy import _choose_macros, load_clone
 from knotgym.learn.training_data import Examples, demonstrate
 from knotgym.rope import ChainSimulation, WaypointFollower
-from knotgym.states import States
 from knotgym.topology import GaussCode, label_many
 
 from .conftest import CLONE, TASK, train, weights
@@ -38,24 +35,6 @@ def test_the_one_that_ships_reaches_easy_goals() -> None:
     seeds = [Stream.EPISODE.derived_seed(0, number) for number in range(8)]
     policy = make_policy(PolicyConfig(policy="pretrained-clone"))
     assert rollouts(policy, task, seeds).episodes["success"].sum() >= 5
-
-
-def test_a_guided_clone_takes_passes_of_great_worth(clone: Path, states: States) -> None:
-    points = states.points[:12]
-    goals, cold = [GaussCode.parse("1+,1-")] * len(points), np.zeros(len(points))
-    values, network = PassValues.of_split(every_code=True), load_clone(clone).network
-    network.side[2].weight.data.zero_()  # as if every macro-action worked as well
-    own = _choose_macros(network, points, goals, cold, [])
-    guided = _choose_macros(network, points, goals, cold, [], values)
-    orders = [dict(islice(values.passes(goals[0], sight), 40)) for sight in Sight.of(points)]
-    assert sum(map(bool, orders)) >= 4
-    for row, order in enumerate(orders):
-        if not order:
-            assert guided[row].tolist() == own[row].tolist()
-        # an untrained network hardly tells macro-actions apart, so what they are worth decides
-        elif max(order.values()) > 0.5:
-            bead, target, over = guided[row].tolist()
-            assert (bead, target, 2 * over - 1) in order
 
 
 def test_pictures_are_enough_to_choose_but_name_no_position(clone: Path) -> None:

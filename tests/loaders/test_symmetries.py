@@ -86,10 +86,6 @@ def test_symmetries_of_a_batch_change_state_goal_and_action_alike(view: str) -> 
     drawn = Symmetries.drawn(count, np.random.default_rng(2))
     made = drawn.applied(batch)
     assert len({len(values) for values in made.values()}) == 1
-    before, after = (one["observations"].reshape(-1, 2, 100, 3) for one in (batch, made))
-    apart = [np.linalg.norm(np.diff(one, axis=2), axis=3).sum() for one in (before, after)]
-    if len(before) == len(after):
-        assert apart[0] == pytest.approx(apart[1], rel=1e-2)
 
 
 def test_beads_are_numbered_backwards_on_a_rope_of_any_length() -> None:

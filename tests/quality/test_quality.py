@@ -183,14 +183,6 @@ def test_excess_crossing_number_is_left_out_when_quick() -> None:
     ) == replace(whole, noise_survival=0.0)
 
 
-@pytest.mark.parametrize("scale", [1, 2])
-def test_the_smallest_region_is_the_background_left_beside_the_rope(scale: int) -> None:
-    config = replace(PictureConfig(), size=scale * PictureConfig().size)
-    quality = measures.measure(bow_tie(40, 40), config=config)
-    inner = quality.smallest_face - scale**2 * RADIUS * (80 + 2 * math.hypot(40, 40))
-    assert quality.smallest_region == pytest.approx(inner, rel=0.03)
-
-
 def by_opencv(points: NDArray[np.float64], config: PictureConfig) -> float:
     """Return the smallest of nx + 2 regions beside the rope as OpenCV draws and counts them."""
     pixels, fine = project(points, config), 3
