@@ -26,8 +26,6 @@ from knotgym.runs import Result, RunOptions, compute
 from knotgym.states import SOURCES, States, pairs_within, read_states
 from knotgym.topology import GaussCode
 
-from ..envs.test_env import same
-
 ALONE = RunOptions(workers=1, quiet=True)
 DRAWN = GenerateConfig(nx=(0, 1), every_code=1, demonstrations=False, engine="chain")
 LIVES = PlayConfig(settle=20, opening=30, rounds=1, scripted=6, spreading=4, ropes=8)
@@ -85,6 +83,10 @@ def test_a_source_is_a_record(monkeypatch: Patch, tmp_path: Path) -> None:
     monkeypatch.delitem(SOURCES, "shaken")
     fault = next(dataset_faults(folder))
     assert "source must be one of drawing, play, random-walk, import" in fault
+
+
+def same(one: Result, other: Result) -> bool:
+    return one.keys() == other.keys() and all(np.array_equal(one[k], other[k]) for k in one)
 
 
 def states_in(folder: Path) -> States:
