@@ -4,7 +4,6 @@ that links lead somewhere.
 
 import ast
 import importlib
-import inspect
 import json
 import os
 import re
@@ -206,13 +205,6 @@ def test_the_page_of_the_environment_names_what_info_holds(states_path: str) -> 
             if isinstance(value, np.ndarray)
             else type(value).__name__
         )
-
-
-def test_the_page_of_the_environment_names_the_keywords_of_many_at_once() -> None:
-    parameters = dict(inspect.signature(knotgym.KnotVectorEnv).parameters)
-    said = defaults("Many at once")
-    assert said == {name: parameters.pop(name).default for name in said}
-    assert parameters.keys() == {"task", "render_mode", "settings"}
 
 
 def test_the_state_file_is_as_its_page_says(tmp_path: Path) -> None:

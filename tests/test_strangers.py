@@ -75,10 +75,8 @@ def test_a_set_shares_no_file_with_its_states(states_path: str, tmp_path: Path) 
     ("table", "column", "value", "says"),
     [
         ("episodes", "seed", 5, "seed is none of the run's"),
-        ("episodes", "seed", -5, "negative"),
         ("episodes", "seed", [1, 0], "seed draws another"),  # rows exchange their values
         ("episodes", "start", [1, 1], "goes with another state|draws another start|isn't row"),
-        ("episodes", "planner_steps", -1, "negative"),
         ("steps", "macro_bead", 99, "isn't one of the macro-action"),
         ("steps", "macro_target", 60_000, "isn't one of the macro-action"),
         ("steps", "macro_side", 7, "isn't one of the macro-action"),

@@ -98,6 +98,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: Symmetries.drawn(3, RNG).applied(SEEN), "this one hasn't"),
     (lambda: Symmetries.drawn(3, RNG).applied(MINE), "no symmetry is known for 'mine'"),
     (lambda: batch([0], relabel="first"), "'last' or 'all'"),
+    (lambda: batch([0], labels=True), "no expert actions"),
     (lambda: Window(discount=1, goals=GoalSampling()), "geometrically"),
     (lambda: label(1e200 * np.eye(3)), "coordinates reach 1e+200; scale them to between 1e-30 and"),
     (lambda: drawn_curve(GaussCode.parse("1+,2-,1-,2+"), RNG), "1+,2-,1-,2+"),

@@ -102,6 +102,7 @@ REFUSED = [
     ("collect --id ../x-v0", "x-v0"),
     ("generate --source import", "source must be one of auto, drawing, play, random-walk, got"),
     ("generate --codes {fifo}", "not a regular file"),
+    ("evaluate --video film.avi", "a video must end in .gif, .mp4 or .webm"),
     ("images --set test_nx=0", "test-nx takes the largest"),
     ("images --set code_share=0.9", "share"),
     ("suite --states bench --nx 5 --task convert", "no set-up of convert with nx 5"),

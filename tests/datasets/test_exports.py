@@ -292,16 +292,3 @@ def test_croissant_is_valid_and_a_record_comes_back(huggingface: Path, tmp_path:
         "print(len(row['states/train/points']))"
     )
     assert output_of(script, tmp_path).split() == ["0", "300"]
-
-
-@clients
-def test_ogbench_reads_its_files_and_makes_their_environment(tmp_path: Path) -> None:
-    ogbench = pytest.importorskip("ogbench")
-    export(EXPERT, tmp_path / "knotgym", "ogbench", replay)
-    for look in ("", "visual-"):
-        env, train, _ = ogbench.make_env_and_datasets(
-            f"knotgym/{look}tie-nx2-expert_chain-v0", dataset_dir=str(tmp_path), image_size=32
-        )
-        assert train["observations"][0].shape == env.reset()[0].shape
-        seen, info = env.reset(options={"task_id": 5, "render_goal": True})
-        assert info["goal"].shape == seen.shape and "success" in env.step(train["actions"][0])[4]

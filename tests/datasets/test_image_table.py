@@ -100,6 +100,7 @@ def test_a_file_of_selected_pictures_is_known_by_its_suffix(shard: Path, tmp_pat
         (("appearance", "size", 2**31 - 1), "appearance.size is 2147483647, should be 64 to 512"),
         (("appearance", "blur", 1e30), "appearance.blur is 1e+30, should be -1000 to 1000"),
         (("appearance", "colours", "x"), "should be published or single or gradient"),
+        (("gauss_code", None), "column gauss_code has missing values"),
         (("nx", 9), "nx is"),
         (("split", "validation"), "split is"),
         (("accepted", False), "accepted is"),

@@ -18,6 +18,7 @@ def test_an_answer_after_thoughts_is_read() -> None:
         ("", "no block"),
         (f"<answer>{ONE}", "no block"),
         (f"<answer>{ONE}</answer> or <answer>{ONE}</answer>", "several blocks"),
+        ("<answer>pull it</answer>", "malformed"),
         ("<answer>[0.1, 1_0, 0, 1, 0, 0]</answer>", "malformed"),
         (f"<answer>[{', '.join(['0'] * 11)}]</answer>", "not six numbers"),
         ("<answer>[0, 0, NaN, 1, 0, 0]</answer>", "not finite"),

@@ -218,7 +218,7 @@ def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
         ("[]", "isn't a transcript"),
         ("{}", "format None"),
         ('{"format": "knotgym-transcript", "format_version": 9}', "version 9"),
-        ('{"format": "knotgym-transcript", "format_version": 2}', "config: Field required"),
+        ('{"format": "knotgym-transcript", "format_version": 2}', "Field required"),
     ],
 )
 def test_a_line_that_is_no_transcript_is_refused(text: str, said: str, tmp_path: Path) -> None:

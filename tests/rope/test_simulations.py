@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidInput
 from knotgym.rope.engines import ENGINES, simulation
 from knotgym.rope.interface import Simulation
-from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 
 from ..conftest import blow_up, curled, rough_play
@@ -146,13 +146,6 @@ def test_a_rope_that_is_not_finite_is_told_and_its_neighbours_move_on(engine: st
     assert np.array_equal(ropes.states([0, 2]), other.states([0, 2]))
     ropes.set_qpos(ropes.rope.qpos(ropes.rope.loop())[None], [1])
     assert ropes.act(np.zeros((3, 6))).all()
-
-
-def test_another_rope_is_pickled_whole(engine: str) -> None:
-    ropes = simulation(engine, 2, Rope(RopeConfig(frame_skip=6)), threads=2)
-    again = pickle.loads(pickle.dumps(ropes))
-    assert again.rope.config == ropes.rope.config
-    assert np.array_equal(moved(again, 2, seed=1), moved(ropes, 2, seed=1))
 
 
 @pytest.mark.thorough

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba.core import event
 from pytest_types import Capture, Patch
 from rich.console import Console
 
 from knotgym.common import Counts
 from knotgym.rope import warn_of_compilation
-from knotgym.runs.executors import executor
+from knotgym.runs.executors import InProcess, compile_first, executor
 from knotgym.runs.progress import Progress
 from knotgym.runs.runner import Call, Recipe, compute
 
@@ -25,6 +26,36 @@ def ends_three(number: int) -> dict[str, Any]:
         Counts.end_item()
     time.sleep(1)
     return {"number": np.array(number)}
+
+
+def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: Patch) -> None:
+    kernel = SimpleNamespace(
+        __module__="k", __name__="k", stats=SimpleNamespace(cache_path=tmp_path)
+    )  # nothing compiled there
+    monkeypatch.setattr("knotgym.topology.scan", kernel)
+    monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
+    written, compiled = io.StringIO(), InProcess.submit
+
+    def submit(pool: InProcess, *call: Any) -> Any:
+        time.sleep(0.3)  # longer than any line is waited for
+        return compiled(pool, *call)
+
+    monkeypatch.setattr(InProcess, "submit", submit)
+    with Progress(console=Console(file=written, width=200)) as progress:
+        compile_first(progress)
+    lines = [line[9:] for line in written.getvalue().splitlines()]
+    assert lines[0] == "compiling, once: about 30 s left"
+    assert all(line.startswith("compiling, once: about") for line in lines)
+
+
+def test_what_compiles_later_than_the_engine_is_named_while_it_does() -> None:
+    written = io.StringIO()
+    with Progress(console=Console(file=written, width=200)) as progress:
+        with event.trigger_event("numba:compile"):
+            progress.stage("playing", 1, 2)
+        progress.stage("playing", 2, 2)
+    told = [line[9:] for line in written.getvalue().splitlines()]
+    assert told == ["playing: 1 of 2; compiling, once", "playing: 2 of 2"]
 
 
 def test_a_first_environment_says_once_that_it_compiles(

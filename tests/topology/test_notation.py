@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.common import InvalidInput
-from knotgym.states import read_states, shipped
 from knotgym.topology.diagrams import _walked, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import Knot, _prime_diagrams, knot_type
@@ -147,13 +146,6 @@ def test_any_text_is_a_code_or_refused(text: str) -> None:
         _parse_code(text)
     except InvalidInput:
         pass
-
-
-def test_states_that_ship_have_the_codes_of_their_gauss_code() -> None:
-    states = read_states(shipped("hard-unknots"), images=False)
-    for row, text in enumerate(states.gauss_code_chiral.tolist()):
-        code = GaussCode.parse(text)
-        assert (states.pd_code[row], states.dt_code[row]) == (pd_text(code), dt_text(code))
 
 
 def require_same_abroad(code: GaussCode, knot: str) -> None:
