@@ -42,10 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym import (
-    common,
-    envs,  # OpenCV and the engines, which few readers need, on first use
-)
+from knotgym import common, envs  # OpenCV and the engines, which few need, on first use
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
 from knotgym.datasets.episodes import (
     EPISODES,

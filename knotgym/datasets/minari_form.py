@@ -24,7 +24,6 @@ import stat
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym import (
-    common,
-    envs,  # OpenCV on first use
-)
+from knotgym import common, envs  # OpenCV on first use
 from knotgym.common import Counts, InvalidFile, InvalidInput, new_hdf5, one_line, require_output
 from knotgym.datasets.episode_dataset import (
     FILE,
@@ -307,33 +303,33 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
     from minari.serialization import serialize_space
 
     metadata, task = metadata_of(dataset), dataset.task
-    split = SPLITS[task.split].tested_on
-    goals = task.max_goals if split == task.split else None  # in another split all
     if metadata is None:
         raise InvalidFile(f"{dataset.path} has no metadata of a Minari dataset")
+    split = SPLITS[task.split].tested_on
+    goals = task.max_goals if split == task.split else None  # in another split all
+    spec, specs = copy.deepcopy(gymnasium.spec(f"knotgym/{task.tasks[0].capitalize()}-v0")), {}
+    tested = replace(task, split=split, max_goals=goals)
+    for name, played in {"env_spec": task, "eval_env_spec": tested}.items():
+        spec.kwargs = common.as_json(played)  # every setting, so that later defaults don't matter
+        specs[name] = spec.to_json()
     given = {n: value for n, value in asdict(metadata).items() if value not in (None, (), {})}
     here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
     lengths = dataset.episodes.episodes["length"]
+    space = envs.OBSERVATIONS[task.observation].space_of(task)
+    # one bound a pixel: without them Minari would make the environment, and need knotgym for that
+    bounds = json.dumps(serialize_space(space, to_string=False), separators=(",", ":"))
     return {
         **given,
         "data_format": "hdf5",
         "jpeg_encoding": False,
         "minari_version": minari.__version__,
         "requirements": [*here, "minari>=0.5.4"],
-        "observation_space": _bounds(replace(task, split="train", states=None)),
+        "observation_space": bounds,
         "action_space": serialize_space(VIEWS[TaskConfig.action].space(task.beads)),
-        "env_spec": _environment_spec(task).to_json(),
-        "eval_env_spec": _environment_spec(replace(task, split=split, max_goals=goals)).to_json(),
+        **specs,
         "total_episodes": len(lengths),
         "total_steps": int(lengths.sum()),
     }
-
-
-def _environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
-    """Return the environment's spec with every setting, so that later defaults don't matter."""
-    spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.tasks[0].capitalize()}-v0"))
-    spec.kwargs = common.as_json(task)
-    return spec
 
 
 def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
@@ -463,16 +459,3 @@ def _same_json(there: Any, expected: Any) -> bool:
             usual = common.as_json(TaskConfig(task="tie"))
             there["kwargs"] = {**usual, **(there.get("kwargs") or {})}
     return bool(there == expected)
-
-
-@lru_cache(maxsize=16)
-def _bounds(task: TaskConfig) -> str:
-    """Return the JSON of a task's observation space, with Minari's one bound per pixel.
-
-    Without this entry Minari would construct the environment, and need knotgym to read a file.
-    """
-    from minari.serialization import serialize_space
-
-    space = envs.OBSERVATIONS[task.observation].space_of(task)
-    bounds = serialize_space(space, to_string=False)
-    return json.dumps(bounds, separators=(",", ":"))
