@@ -65,14 +65,6 @@ _KEPT_FACTS = ("metadata", "run", "selection", "tasks", "engine", STATES_DIGEST)
 _SEAL = "attributes"
 
 
-def joined_task(tasks: Sequence[TaskConfig]) -> TaskConfig:
-    """Return the task that draws from all of those, which differ in task, nx and split alone."""
-    names = dict.fromkeys(name for task in tasks for name in task.tasks)
-    crossings = sorted({nx for task in tasks for nx in task.crossings})
-    several: dict[str, Any] = {"task": (*names,), "nx": (*crossings,)}
-    return replace(tasks[0], **{name: each for name, each in several.items() if len(each) > 1})
-
-
 def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
     """Upgrade a file of version 2, in which one column alone was a claim, `expert_action`."""
     advice = attributes.pop("advice", None)
@@ -387,7 +379,7 @@ def write_episodes(
     parts, extra = fitted(parts), dict(facts or {})
     if not isinstance(task, TaskConfig):
         extra["tasks"] = [common.as_json(each) for each in task]
-        task = joined_task(task)
+        task = TaskConfig.joined(task)
     if not is_bundled(task.states) and STATES_DIGEST not in extra:
         extra[STATES_DIGEST] = common.sha256(resolve_states(task.states))
     if "engine" not in extra:

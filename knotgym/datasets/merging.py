@@ -20,7 +20,6 @@ from knotgym.common import (
 from knotgym.datasets.episode_dataset import (
     STATES_DIGEST,
     EpisodeDataset,
-    joined_task,
     require_alike,
     write_episodes,
 )
@@ -110,7 +109,7 @@ def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
     """
     require_alike(datasets, _facts)
     first = datasets[0]
-    joint = joined_task([dataset.task for dataset in datasets])
+    joint = TaskConfig.joined([dataset.task for dataset in datasets])
     if joint != first.task:  # its environment can be made
         task_sides(replace(joint, states=str(first.states_path())))
     return joint

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -210,6 +210,14 @@ class TaskConfig:
                 f" {', '.join(name for name in known if name != 'task')}"
             )
         return cls(task=task, **settings)
+
+    @staticmethod
+    def joined(tasks: Sequence[TaskConfig]) -> TaskConfig:
+        """Return the task that draws from all of those, which differ in task, nx and split only."""
+        names = dict.fromkeys(name for task in tasks for name in task.tasks)
+        crossings = sorted({nx for task in tasks for nx in task.crossings})
+        several: dict[str, Any] = {"task": (*names,), "nx": (*crossings,)}
+        return replace(tasks[0], **{name: each for name, each in several.items() if len(each) > 1})
 
     @staticmethod
     def most_nx(beads: int) -> int:
