@@ -100,10 +100,8 @@ def _page_html(data: Mapping[str, Any]) -> str:
 
 def _as_text(data: Mapping[str, Any]) -> str:
     """Serialize to JSON without characters that are special in HTML."""
-    try:
+    with InvalidFile.instead(f"{data['title']} holds numbers that aren't finite", ValueError):
         text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    except ValueError as error:
-        raise InvalidFile(f"{data['title']} holds numbers that aren't finite") from error
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
