@@ -38,32 +38,32 @@ RUNS = {
 
 def digests(folder: Path) -> dict[str, str]:
     """File and dataset or column -> SHA-256 of its values, for all below a folder."""
-    found: dict[str, str] = {}
+    digest_of: dict[str, str] = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
         if path.suffix == ".h5":
-            found.update({f"{name}:{key}": value for key, value in of_hdf5(path).items()})
+            digest_of.update({f"{name}:{key}": value for key, value in of_hdf5(path).items()})
         elif path.suffix == ".parquet":
-            found.update({f"{name}:{key}": value for key, value in of_parquet(path).items()})
+            digest_of.update({f"{name}:{key}": value for key, value in of_parquet(path).items()})
         elif path.suffix == ".png":
-            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    return found
+            digest_of[name] = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    return digest_of
 
 
 def of_hdf5(path: Path) -> dict[str, str]:
     """Dataset -> SHA-256 of its values."""
-    found: dict[str, str] = {}
+    digest_of: dict[str, str] = {}
 
     def visit(name: str, item: object) -> None:
         if isinstance(item, h5py.Dataset):
             values = np.asarray(item[()])
             is_text = values.dtype == object
             data = repr(values.tolist()).encode() if is_text else values.tobytes()
-            found[name] = hashlib.sha256(data).hexdigest()[:16]
+            digest_of[name] = hashlib.sha256(data).hexdigest()[:16]
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
-    return found
+    return digest_of
 
 
 def of_parquet(path: Path) -> dict[str, str]:
@@ -87,21 +87,21 @@ def main(
         out: file to write.
         compare: what an earlier run wrote to --out.
     """
-    found = dict[str, str]()
+    made = dict[str, str]()
     with tempfile.TemporaryDirectory() as room:
         for kind in kinds.split(","):
             folder = Path(room) / kind
             words = [*RUNS[kind], "--seed", SEED, "--quiet", "--out", str(folder)]
             subprocess.run([sys.executable, "-m", "knotgym", *words], check=True)
-            found.update({f"{kind}/{name}": value for name, value in digests(folder).items()})
+            made.update({f"{kind}/{name}": value for name, value in digests(folder).items()})
     if out is not None:
-        out.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8")
-    total = hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
-    print(f"{len(found)} datasets, columns and pictures; all together {total}")
+        out.write_text(json.dumps(made, indent=1, sort_keys=True), encoding="utf-8")
+    total = hashlib.sha256(json.dumps(made, sort_keys=True).encode()).hexdigest()
+    print(f"{len(made)} datasets, columns and pictures; all together {total}")
     if compare is not None:
         before = json.loads(compare.read_text(encoding="utf-8"))
         before = {k: v for k, v in before.items() if k.partition("/")[0] in kinds.split(",")}
-        names = [name for name in sorted({*before, *found}) if before.get(name) != found.get(name)]
+        names = [name for name in sorted({*before, *made}) if before.get(name) != made.get(name)]
         print("\n".join(f"differs: {name}" for name in names) or "nothing differs")
         sys.exit(1 if names else 0)
 
