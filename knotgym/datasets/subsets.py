@@ -263,7 +263,7 @@ def _of_episodes(path: Path) -> _Rows:
 
     def _shared() -> Ids:
         # states without crossings are shared by nearly all episodes
-        tangled = np.array([each.start_nx > 0 for each in task.singles])[_single_of(dataset)]
+        tangled = np.array([each.sides[0] > 0 for each in task.singles])[_single_of(dataset)]
         goals = np.where(episodes["goal_visits"].any(axis=1), episodes["goal"], -1)
         return np.stack([np.where(tangled, episodes["start"], -1), goals], axis=1)
 
@@ -287,14 +287,12 @@ def _single_of(dataset: EpisodeDataset) -> Ids:
     A recording doesn't hold the start's crossings, so there the first with the goal's is returned.
     """
     rows, steps = dataset.episodes
+    sides = [single.sides for single in dataset.task.singles]
     if "setup" in rows:
-        sides = [(setup.start_nx, setup.goal_nx) for setup in dataset.task.singles]
-        single = [sides.index((setup.start_nx, setup.goal_nx)) for setup in dataset.tasks]
-        return np.array(single)[rows["setup"]]
+        return np.array([sides.index(task.sides) for task in dataset.tasks])[rows["setup"]]
     goals = np.count_nonzero(rows["goal_visits"], axis=1) // 2
     first = dataset.episodes.offsets[:-1]
     starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
-    sides = [(single.start_nx, single.goal_nx) for single in dataset.task.singles]
     return np.argmin([2 * (goals != goal) + (starts != start) for start, goal in sides], axis=0)
 
 

@@ -44,7 +44,8 @@ def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
             or goals would come from another file than the others, so that rows are ambiguous.
     """
     sides = [_sides(single) for single in task.singles]
-    if any(len({side.origin for side in same}) > 1 for same in zip(*sides, strict=True)):
+    # equal files are read once, see `_read`
+    if any(len({id(side.states) for side in same}) > 1 for same in zip(*sides, strict=True)):
         raise InvalidInput(
             f"{resolve_states(task.states)} has no plain loops, which several tasks at once need:"
             " generate some beside the others, as with knotgym-generate --nx 0-4"
@@ -56,7 +57,7 @@ def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     """Return the states of a task with one nx."""
     path = resolve_states(task.states)
     states = _of_our_rope(path, task)
-    both = _start_nx(task, states), task.goal_nx
+    both = _start_nx(task, states), task.sides[1]
     starts, goals = (_side(task, path, states, nx) for nx in both)
     goals = goals._replace(rows=goals.rows[: task.max_goals])
     begin, end = (
@@ -81,9 +82,10 @@ def _start_nx(task: TaskConfig, states: States) -> int:
     A tie starts at the simplest diagram of its goals' knot type: the plain loop for the unknot,
     else the diagrams with the fewest crossings in the file.
     """
-    knots = set(states.knot[states.nx == task.goal_nx].tolist())
+    start_nx, goal_nx = task.sides
+    knots = set(states.knot[states.nx == goal_nx].tolist())
     if task.tasks != ("tie",) or not knots or UNKNOT in knots:
-        return task.start_nx
+        return start_nx
     return int(states.nx[np.isin(states.knot, sorted(knots))].min())
 
 

@@ -254,14 +254,9 @@ class TaskConfig:
         return tuple(reversed(tasks_by_sides.values()))
 
     @property
-    def start_nx(self) -> int:
-        """Crossings at reset, in the first task."""
-        return TASKS[self.tasks[0]](self.crossings[0])[0]
-
-    @property
-    def goal_nx(self) -> int:
-        """Crossings of the goal, in the first task."""
-        return TASKS[self.tasks[0]](self.crossings[0])[1]
+    def sides(self) -> tuple[int, int]:
+        """Crossings of the start and of the goal, in the first task."""
+        return TASKS[self.tasks[0]](self.crossings[0])
 
     @property
     def rope_config(self) -> RopeConfig:

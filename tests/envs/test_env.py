@@ -245,6 +245,11 @@ def test_states_that_do_not_fit_are_refused_in_one_line_with_what_the_file_has(
         ("tie", {"nx": 2, "split": "test", "states": train}, "in split 'test' .* nx 0 .train., 1"),
         ("tie", {"states": other}, "made for rope model 0123456789abcdef, this version has "),
         (["tie", "convert"], {"nx": 2, "states": loopless}, "has no plain loops"),
+        (
+            ["tie", "unknot"],
+            {"nx": 7, "states": "hard-unknots", "split": "test"},
+            "has no plain loops",
+        ),
     ]
     make("tie", nx=(2, 3), states=loopless)
     for task, settings, says in wrong:
