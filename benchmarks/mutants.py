@@ -4,11 +4,11 @@
 
 A mutant differs from the code in one place, drawn from the seed: a comparison turned round or by
 its edge, + for -, * for /, `and` for `or`, a condition denied, a whole number one more. It is
-killed if a test fails, or if the tests take --limit CPU seconds. Each runs in a copy of the
-checkout; first the test file named as the module, if there is one, then the tests of the room, then
-all others of a default run. Survivors are listed with what was changed: each is a test that is
-missing, or code that means the same. With --out each mutant is written down at once; the same
-command goes on where it was stopped, and a larger --count adds more.
+killed if a test fails, or if the tests take --limit CPU seconds. Each is tried in a copy of the
+checkout: first by the tests of a default run that run its line, as coverage says (none is known of
+compiled functions), then by the tests of its room. Survivors are listed with what was changed: each
+is a test that is missing, or code that means the same. With --out each mutant is written down at
+once; the same command goes on where it was stopped, and a larger --count adds more.
 """
 
 import ast
@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coverage import CoverageData
 
 ROOT = Path(__file__).parents[1]
 PAIRS: list[tuple[type, type]] = [(ast.Lt, ast.LtE), (ast.Gt, ast.GtE), (ast.Eq, ast.NotEq)]
@@ -94,13 +95,12 @@ def fails(copied: Path, words: list[str], limit: int) -> bool:
     return ended.returncode != 0
 
 
-def is_killed(copied: Path, module: Path, limit: int) -> bool:
-    """Return whether a test fails: of a module's file, of its room, of all."""
+def is_killed(copied: Path, known: CoverageData, module: Path, line: int, limit: int) -> bool:
+    """Return whether a test fails: one that runs a line, or another of its room."""
+    contexts = (known.contexts_by_lineno(str(copied / module)) or {}).get(line, [])
+    running = sorted({name.rpartition("|")[0] for name in contexts} - {""})
     room = str(Path("tests", *module.parts[1:-1]))
-    named = [str(path) for path in copied.glob(f"tests/**/test_{module.stem}.py")]
-    each = named, [room], ["tests", f"--ignore={room}"]
-    known = [words for words in each if words and (copied / words[0]).exists()]
-    return any(fails(copied, words, limit) for words in known)
+    return any(fails(copied, words, limit) for words in (running, [room]) if words)
 
 
 def main() -> None:
@@ -108,7 +108,7 @@ def main() -> None:
     parser.add_argument("rooms", nargs="+", help="rooms of the package, such as topology")
     parser.add_argument("--count", type=int, default=100, help="mutants, as many of each room")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--limit", type=int, default=900, help="CPU seconds of a run of the tests")
+    parser.add_argument("--limit", type=int, default=300, help="CPU seconds of a run of the tests")
     parser.add_argument("--out", type=Path, help="where to write the result as JSON")
     asked, result = parser.parse_args(), dict[str, Any]()
     if asked.out and asked.out.exists():
@@ -117,8 +117,11 @@ def main() -> None:
         copied = Path(name, "checkout")
         unwanted = shutil.ignore_patterns(".git", ".venv", ".*cache", "__pycache__", "build")
         shutil.copytree(ROOT, copied, symlinks=True, ignore=unwanted)
-        if not result and fails(copied, ["tests"], asked.limit):
+        traced = ["--cov=knotgym", "--cov-context=test", "--cov-report=", "tests"]
+        if fails(copied, traced, 10 * asked.limit):
             sys.exit("the tests fail without a mutant")
+        known = CoverageData(str(copied / ".coverage"))
+        known.read()
         for room in asked.rooms:
             files = sorted((ROOT / "knotgym" / room).rglob("*.py"))
             sizes = np.array([path.stat().st_size for path in files], dtype=float)
@@ -135,7 +138,7 @@ def main() -> None:
                     continue
                 said, text = chosen()
                 (copied / module).write_text(text, encoding="utf-8")
-                if is_killed(copied, module, asked.limit):
+                if is_killed(copied, known, module, int(said.partition(":")[0]), asked.limit):
                     own["killed"] += 1
                 else:
                     own["survivors"].append(f"{module}:{said}")
