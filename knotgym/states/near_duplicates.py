@@ -138,15 +138,12 @@ class Spectra(NamedTuple):
         return np.asarray(np.sqrt(apart / self.flat.shape[1]))
 
 
-def pairs_within(
-    points: Array, others: Array | None = None, limit: float = NEAR
-) -> list[tuple[int, int, float]]:
-    """Find the pairs of configurations that a symmetry brings close to each other.
+def pairs_within(points: Array, others: Array | None = None) -> list[tuple[int, int, float]]:
+    """Find the pairs of configurations that a symmetry brings within NEAR of each other.
 
     Args:
         points: float64 (n, beads, 3), metres.
         others: float64 (m, beads, 3); None to compare the points with each other, each pair once.
-        limit: largest distance, metres.
 
     Returns:
         Row, other row and distance of each pair, sorted.
@@ -157,7 +154,7 @@ def pairs_within(
     for first in range(0, len(points), _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, len(points)))
         # one matrix product a block rules out nearly all pairs; the rest is computed exactly
-        near = a.take(rows)._least_distances(b) < limit
+        near = a.take(rows)._least_distances(b) < NEAR
         if others is None:
             near &= np.arange(len(points)) > rows[:, None]
         some, columns = np.nonzero(near)
@@ -165,7 +162,7 @@ def pairs_within(
             i, j = rows[some[start : start + _BLOCK]], columns[start : start + _BLOCK]
             apart = a.take(i).pair_distances(b.take(j))
             rows_of = zip(i.tolist(), j.tolist(), apart.tolist(), strict=True)
-            pairs += [pair for pair in rows_of if pair[2] < limit]
+            pairs += [pair for pair in rows_of if pair[2] < NEAR]
     return pairs
 
 
@@ -173,7 +170,7 @@ def families(points: Array) -> NDArray[np.int64]:
     """Number the families, int64 (n,): components of the graph that connects near-duplicates."""
     # leader: the lowest row of the component; each pair merges two components
     leader = np.arange(len(points))
-    for row, other, _ in pairs_within(points, limit=NEAR):
+    for row, other, _ in pairs_within(points):
         low, high = sorted((leader[row], leader[other]))
         leader[leader == high] = low
     return np.unique(leader, return_inverse=True)[1].astype(np.int64)
