@@ -179,7 +179,7 @@ def test_commands_come_from_packages_and_the_core_runs_without_its_guests(tmp_pa
     job = "from knotgym.cli import main\nmain({!r}.split())"
     for words, shown in (
         ("hello --name you", "hello you"),
-        ("evaluate --task tie --nx 2 --policy random --episodes 2 --workers 0", "random"),
+        ("evaluate --task tie --nx 2 --policy random --episodes 2 --workers 1", "random"),
     ):
         code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n{job.format(words)}"
         assert shown in python("-c", code, check=True).stdout

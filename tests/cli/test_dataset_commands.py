@@ -34,6 +34,7 @@ def minari_root(collected: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(collected))
 
 
+@pytest.mark.usefixtures("sound")
 @pytest.mark.parametrize(
     ("command", "source", "said"),
     [

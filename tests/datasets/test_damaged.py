@@ -54,6 +54,7 @@ def rows() -> list[dict[str, Any]]:
     return [*rows_of(PictureRow.drawn(picture_rows(ropes), AppearanceConfig(sizes=(64,))))]
 
 
+@pytest.mark.usefixtures("sound")
 @pytest.mark.parametrize("command", [*COMMANDS])
 def test_cut_shards_are_refused(
     command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: Capture

@@ -25,7 +25,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """An entry of two policies that often reach the same goals, and the same as JSON."""
     folder = tmp_path_factory.mktemp("compared")
     policies = PolicyConfig(policy="random"), PolicyConfig(policy="scripted")
-    config = EvaluateConfig(policies=policies, tasks=("unknot",), nx=(2,), episodes=128, task=TASK)
+    config = EvaluateConfig(policies=policies, tasks=("unknot",), nx=(2,), episodes=64, task=TASK)
     found = folder / "entry.h5", folder / "scores.json"
     evaluate(config, RunOptions(workers=1, quiet=True), record=found[0], out=found[1])
     return found

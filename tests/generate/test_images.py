@@ -111,6 +111,7 @@ def test_a_missing_file_and_a_missing_split_are_found(folder: Path, tmp_path: Pa
         read_table(folder, "validation")
 
 
+@pytest.mark.usefixtures("sound")
 @pytest.mark.parametrize(
     ("words", "status", "said"),
     [

@@ -34,7 +34,7 @@ from .recipes import RECIPES, content, drawn, made_toy, toy
 
 QUIET = RunOptions(workers=1, quiet=True)
 RESUMED = replace(QUIET, resume=True)
-KILLS = 3
+KILLS = 2
 
 every_recipe = pytest.mark.parametrize(
     "name",
