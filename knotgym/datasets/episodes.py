@@ -479,7 +479,8 @@ def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
 
 
 def _same_width(sets: Sequence[Episodes]) -> list[Episodes]:
-    codes = [table[name] for one in sets for table in one for name in _VISITS if name in table]
+    tables = [table for episodes in sets for table in episodes]
+    codes = [table[name] for table in tables for name in _VISITS if name in table]
     most = max([0, *(int(np.count_nonzero(visits, axis=1).max(initial=0)) for visits in codes)])
     sizes = Episodes.code_sizes(most // 2)
     return [Episodes(*(_widened(table, sizes) for table in episodes)) for episodes in sets]

@@ -210,7 +210,7 @@ def _episodes(
         **_versions(datasets[0].attributes.get("versions") or {}),
     }
     chosen = [[every[k][1] for k in rows if every[k][0] is dataset] for dataset in datasets]
-    parts = [one.select(own) for one, own in zip(datasets, chosen, strict=True) if own]
+    parts = [part.select(of) for part, of in zip(datasets, chosen, strict=True) if of]
     if replay:
         parts = [expanded(part, replay) if part.episodes.is_recording else part for part in parts]
     about["by goal"] = _by_goal([part.episodes.episodes for part in parts])

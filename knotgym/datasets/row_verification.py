@@ -435,13 +435,10 @@ def faults(located: Located, replay: Replay, each: Map = map, sample: int = 0) -
     elif located.states:
         every = _state_faults(read_states(located.states))
     else:
-        folders = [
-            path for path in {located.root, *located.episodes} if (path / "manifest.json").is_file()
-        ]
+        given = sorted({located.root, *located.episodes})
+        folders = [path for path in given if (path / "manifest.json").is_file()]
         verified = partial(episode_faults, replay=replay, sample=sample)
-        every = chain.from_iterable(
-            [*map(_manifest_faults, sorted(folders)), *map(verified, located.episodes)]
-        )
+        every = chain(*map(_manifest_faults, folders), *map(verified, located.episodes))
     kinds = set[type]()
     for fault in every:
         kinds.add(type(fault))
