@@ -80,8 +80,7 @@ class CanonicalFrames(NamedTuple):
         """Map vectors (n, ..., 3), such as forces, from the world into the frame, or back."""
         # the axes are orthogonal, so the transpose is the inverse
         sums = "nji,n...j->n...i" if back else "nij,n...j->n...i"
-        mapped: Array = np.einsum(sums, self.axes, np.asarray(vectors, np.float64))
-        return mapped
+        return np.einsum(sums, self.axes, np.asarray(vectors, np.float64))
 
     def renumber(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
         """Map beads (n,), of `count` per rope, from the world into the frame, or back."""
@@ -96,8 +95,7 @@ class CanonicalFrames(NamedTuple):
     def places(self, beads: ArrayLike, points: Array) -> Array:
         """Return where beads (n,) of the world's ropes (n, beads, 3) lie in the frame, metres."""
         numbers = self.renumber(beads, points.shape[1])
-        places: Array = self.points(points)[np.arange(len(numbers)), numbers]
-        return places
+        return self.points(points)[np.arange(len(numbers)), numbers]
 
     def decisions(
         self, beads: ArrayLike, forces: ArrayLike, made: ArrayLike, points: Array

@@ -39,8 +39,7 @@ class RowPolicy:
 
     def __call__(self, observation: Any) -> NDArray[Any]:
         """Return the action for one observation, such as one of `env.step`."""
-        found: NDArray[Any] = self.actions(np.asarray(observation)[None])[0]
-        return found
+        return self.actions(np.asarray(observation)[None])[0]
 
     def _of_block(self, observations: NDArray[Any]) -> NDArray[Any]:
         # copied, because the model may change what it gets and return the same array again
@@ -102,5 +101,4 @@ def _function_of(model: Any) -> Callable[[Any], Any]:
             "a model must be a function of observations, such as model.predict, a torch module or"
             f" an ONNX session; got {type(model).__name__}"
         )
-    function: Callable[[Any], Any] = model
-    return function
+    return model
