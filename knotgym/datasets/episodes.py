@@ -432,8 +432,7 @@ class Episodes(NamedTuple):
         """
         (ids, held), episode = self.codes_held(task), self.episode_of()
         rows = self.episodes
-        goals = rows["goal_visits"][episode]
-        shown = Situation.shown(task, self.steps["visits"], goals)
+        shown = Situation.shown(task, self.steps["visits"], rows["goal_visits"][episode])
         wanted = np.where(rows["hold"] > 0, rows["hold"], task.hold)
         return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
 

@@ -66,8 +66,7 @@ class DrawnFrames:
         self._observer = Observer(dataset.task, picture)
         self._rows = dataset.episodes.steps.rows
         self._count = self._rows + len(dataset)
-        frames = dataset.frames(self._observer)
-        self._frames = replace(frames, threads=Threads(0), block=_BLOCK)
+        self._frames = replace(dataset.frames(self._observer), threads=Threads(0), block=_BLOCK)
         if cache is not None:
             if "picture" not in self._kind.goal:
                 raise InvalidInput(

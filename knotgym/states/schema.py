@@ -63,8 +63,7 @@ class RopeAtRest:
         ropes = [cls(rope) for rope in points]
         qualities = measure_all(points, [rope.crossings for rope in ropes])
         for rope, quality in zip(ropes, qualities, strict=True):
-            survival = noise_survival(rope.points)
-            rope.__dict__["quality"] = replace(quality, noise_survival=survival)
+            rope.__dict__["quality"] = replace(quality, noise_survival=noise_survival(rope.points))
         return ropes
 
     @cached_property

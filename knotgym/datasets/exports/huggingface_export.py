@@ -123,8 +123,7 @@ def _tables(
     tables = [dataset.episodes.steps for dataset in datasets]
     stored = {name: table[name] for table in tables for name in table}
     lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
-    rows = ROWS_OF_STEPS.with_own(stored)
-    schema = rows.without(*lacking, *([] if pictures else ["image"]))
+    schema = ROWS_OF_STEPS.with_own(stored).without(*lacking, *([] if pictures else ["image"]))
     for split in dict.fromkeys(dataset.task.split for dataset in datasets):
         of_split = [dataset for dataset in datasets if dataset.task.split == split]
         parts = (part for dataset in of_split for part in _step_tables(dataset, schema, pictures))
