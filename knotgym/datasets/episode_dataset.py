@@ -44,14 +44,7 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym import common, envs  # OpenCV and the engines, which few need, on first use
 from knotgym.common import InvalidFile, InvalidInput, KnotgymError, MissingFile, Stream, Table
-from knotgym.datasets.episodes import (
-    EPISODES,
-    STEPS,
-    STORED_PULLS,
-    STORED_RECORDED,
-    Episodes,
-    fitted,
-)
+from knotgym.datasets.episodes import EPISODES, STEPS, STORED_PULLS, STORED_ROWS, Episodes, fitted
 from knotgym.envs import TaskConfig
 from knotgym.rope import ENGINES
 from knotgym.states import is_bundled, minari_root, resolve, resolve_states
@@ -73,7 +66,7 @@ def _to_3(items: dict[str, Any], attributes: dict[str, Any]) -> None:
 
 
 _UPGRADES = {2: _to_3}
-_FORMS = {"columns": (EPISODES, STEPS), "recording": (STORED_RECORDED, STORED_PULLS)}
+_FORMS = {"columns": (EPISODES, STEPS), "recording": (STORED_ROWS, STORED_PULLS)}
 
 
 @dataclass(frozen=True)

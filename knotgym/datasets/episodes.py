@@ -75,7 +75,7 @@ PULLS = _kept(STEPS)._replace(row="a state and the pull made in it")
 _STORED = (*PULLS.columns, _BINS._replace(unit=f"max_force / {FORCE_BINS}"))
 # as files of recordings have them: forces in one of two columns
 STORED_PULLS = PULLS._replace(columns=tuple(c._replace(optional=c.name != "bead") for c in _STORED))
-STORED_RECORDED = RECORDED.extended(_DIGEST)
+STORED_ROWS = RECORDED.extended(_DIGEST)
 
 
 def _is_claim(column: Column) -> bool:
