@@ -117,7 +117,7 @@ def main() -> None:
         copied = Path(name, "checkout")
         unwanted = shutil.ignore_patterns(".git", ".venv", ".*cache", "__pycache__", "build")
         shutil.copytree(ROOT, copied, symlinks=True, ignore=unwanted)
-        traced = ["--cov=knotgym", "--cov-context=test", "--cov-report=", "tests"]
+        traced = ["--cov=knotgym", "--cov-context=test", "--cov-report=", "--cov-fail-under=0"]
         if fails(copied, traced, 10 * asked.limit):
             sys.exit("the tests fail without a mutant")
         known = CoverageData(str(copied / ".coverage"))
