@@ -79,12 +79,9 @@ class Mark(NamedTuple):
             for member in _members(hint):
                 if isinstance(member, Mark) and member.word == word and member.applies(own):
                     yield f"{path}{name}", values, own
-                if (
-                    dataclasses.is_dataclass(member)
-                    and isinstance(member, type)
-                    and own is not None
-                ):
-                    for each in own if isinstance(own, (list, tuple)) else [own]:
+                if isinstance(member, type) and dataclasses.is_dataclass(member):
+                    inner = own if isinstance(own, (list, tuple)) else [own]
+                    for each in inner if own is not None else ():
                         yield from Mark.fields(member, each, word, f"{path}{name}.")
 
     @staticmethod
@@ -245,8 +242,7 @@ def configuration(cls: type[Config]) -> type[Config]:
 
 def as_json(config: Any) -> dict[str, Any]:
     """Convert a configuration to JSON: nested dicts, with lists for tuples."""
-    values: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
-    return values
+    return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
 def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:

@@ -91,8 +91,7 @@ def make_policy(config: Any) -> Policy:
             makes the policy raises anything else, SystemExit included.
     """
     if not isinstance(config, PolicyConfig):
-        made: Policy = _later("own_policies:own_policy")(config, type(config).__name__)
-        return made
+        return _later("own_policies:own_policy")(config, type(config).__name__)
     with user_code(config.policy):
         return family_of(config.policy).make(config)
 

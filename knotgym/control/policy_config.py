@@ -116,8 +116,7 @@ class PolicyConfig:
 
     def card(self) -> dict[str, Any] | None:
         """Return facts about the training of the policy; None if its family records none."""
-        card: dict[str, Any] | None = self._family().card(self.policy)
-        return card
+        return self._family().card(self.policy)
 
     def _family(self) -> Any:
         # the table makes policies, so it is imported when it is asked

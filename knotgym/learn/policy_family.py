@@ -19,8 +19,7 @@ def _matches(name: str) -> bool:
 
 def _make(config: PolicyConfig) -> Policy:
     learner = _learner(config.policy)
-    made: Policy = learner.loaded(learner.policy)(config.policy)
-    return made
+    return learner.loaded(learner.policy)(config.policy)
 
 
 def _files(name: str) -> dict[str, Path]:

@@ -250,8 +250,7 @@ def waves(count: int, most: int, rng: np.random.Generator) -> Array:
     phase = rng.uniform(0, 2 * np.pi, (count, most, 1, 3))
     # a cosine has variance 1/2, so each of `most` amplitudes has variance 2 / most
     size = rng.normal(size=(count, most, 1, 3)) * np.sqrt(2 / most)
-    summed: Array = (size * np.cos(numbers * angle[:, None] + phase)).sum(axis=1)
-    return summed
+    return (size * np.cos(numbers * angle[:, None] + phase)).sum(axis=1)
 
 
 def look(picture: NDArray[np.uint8]) -> Seen:

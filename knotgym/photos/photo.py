@@ -141,8 +141,7 @@ def tilted(points: Array, tilt: float, heading: float) -> Array:
     """
     angles = [(math.cos(a), math.sin(a)) for a in map(math.radians, (tilt, heading))]
     # a copy, as numba would compile again for what can't be written
-    turned: Array = view_kernels.tilted(np.array(points, np.float64, order="C"), *angles)
-    return turned
+    return view_kernels.tilted(np.array(points, np.float64, order="C"), *angles)
 
 
 def take(points: Array, look: Photo) -> Shot:

@@ -144,8 +144,7 @@ class PhotoRope:
     def extent(self, turn: float, scale: float) -> tuple[tuple[float, float], ...]:
         """Return the least and the largest x, and y down, of what is kept in the picture."""
         turned = math.cos(turn) * scale, math.sin(turn) * scale
-        extent: tuple[tuple[float, float], ...] = views.extent(self.curve, self.kept, *turned)
-        return extent
+        return views.extent(self.curve, self.kept, *turned)
 
 
 class PhotoView:

@@ -137,8 +137,7 @@ class Drawer:
     @staticmethod
     def of(name: str) -> "Drawer":
         """Return the drawer of an appearance."""
-        drawer: Drawer = resolve_name(APPEARANCES[name].drawer)(name)
-        return drawer
+        return resolve_name(APPEARANCES[name].drawer)(name)
 
     def seen(self, points: Array, config: AppearanceConfig, rng: Rng) -> tuple[Array, Camera]:
         """Draw the camera of a table's picture; return points (n, 3) in its axes, and it.

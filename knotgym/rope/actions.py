@@ -119,8 +119,7 @@ class TowBound:
         """Return the mean vertex of each rope (n, beads, 3): float64 (n, 3), metres."""
         # Beads are alike and each lies between two vertices, so round the loop the mean vertex is
         # their centre of mass.
-        mean: Array = np.asarray(points, dtype=np.float64).mean(axis=1)
-        return mean
+        return np.asarray(points, dtype=np.float64).mean(axis=1)
 
     def exceeded(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return which configurations (n, beads, 3) exceed the limit: bool (n,)."""

@@ -157,8 +157,7 @@ def _add_solution(m: Array, shift: Array) -> None:
 def directions(points: Array) -> Array:
     """Return the unit vectors along the edges of closed curves (n, beads, 3)."""
     edges = np.roll(points, -1, axis=1) - points
-    unit: Array = edges / np.linalg.norm(edges, axis=2, keepdims=True)
-    return unit
+    return edges / np.linalg.norm(edges, axis=2, keepdims=True)
 
 
 def equal_chords(curve: Array, count: int) -> Array:
@@ -412,5 +411,4 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     lengths = np.sqrt(chord[..., 0] ** 2 + chord[..., 1] ** 2 + chord[..., 2] ** 2)
     ordered = np.sort(lengths, axis=1)
     medians = (ordered[:, (beads - 1) // 2] + ordered[:, beads // 2]) / 2
-    moved: Array = _turned(p, chord / lengths[..., None], medians, drawn)
-    return moved
+    return _turned(p, chord / lengths[..., None], medians, drawn)

@@ -111,8 +111,7 @@ def simulation(
         InvalidInput: there is no such engine.
     """
     made: Any = resolve_name(ENGINES[engine].simulation)
-    found: Simulation = made(count, rope, threads)
-    return found
+    return made(count, rope, threads)
 
 
 def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simulation:

@@ -111,8 +111,7 @@ def compute(
         try:
             calls = next(recipe) if results is None else recipe.send(results)
         except StopIteration as end:
-            output: Output = end.value
-            return output
+            return end.value
         totals.clear()  # they stand beside how many of these calls are done
         _complete(calls[shard.number - 1 :: shard.of], memo, pool, _show)
         missing = [index for index, call in enumerate(calls) if call.key not in memo]

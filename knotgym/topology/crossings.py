@@ -117,8 +117,7 @@ class Crossings(_Table):
         beyond = len(places) - np.searchsorted(places, np.where(back == 0, beads, back), "right")
         passed = np.where(symmetries.reverse, beyond, np.searchsorted(places, start))
         each = symmetries.switch, symmetries.reverse, passed % max(len(places), 1)
-        texts: list[str] = _texts_after(self.code.plain)[tuple(map(np.int64, each))].tolist()
-        return texts
+        return _texts_after(self.code.plain)[tuple(map(np.int64, each))].tolist()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -321,8 +320,7 @@ def _bytes(array: NDArray[Any]) -> list[bytes]:
     """Return the bytes of each row of an array (n, width)."""
     # one opaque item a row: its bytes are a key that is hashed as fast as memory is read
     width = array.shape[1] * array.itemsize
-    listed: list[bytes] = np.ascontiguousarray(array).view(f"V{width}")[:, 0].tolist()
-    return listed
+    return np.ascontiguousarray(array).view(f"V{width}")[:, 0].tolist()
 
 
 @lru_cache(maxsize=2**14)

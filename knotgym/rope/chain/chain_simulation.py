@@ -266,5 +266,4 @@ def _quaternions(axes: Array) -> Array:
     # by its norm, 4 |q_i|, by 2 at least: that amplifies no rounding.
     best = np.argmax(square, axis=0)
     directed = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
-    unit: Array = directed / np.linalg.norm(directed, axis=-1, keepdims=True)
-    return unit
+    return directed / np.linalg.norm(directed, axis=-1, keepdims=True)
