@@ -23,7 +23,6 @@ from .merging import merge as merge
 from .minari_form import MinariMetadata as MinariMetadata
 from .minari_form import Statistics as Statistics
 from .minari_form import loading_lines as loading_lines
-from .minari_form import minari_faults as minari_faults
 from .minari_form import publish as publish
 from .page import write_page as write_page
 from .picture_card import finish_pictures as finish_pictures
@@ -37,4 +36,5 @@ from .subsets import kept as kept
 from .subsets import select as select
 from .subsets import split as split
 from .summaries import in_words as in_words
+from .summaries import show_episodes as show_episodes
 from .summaries import summary as summary

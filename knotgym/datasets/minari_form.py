@@ -105,6 +105,11 @@ class MinariMetadata:
         for name in ("author", "author_email"):
             object.__setattr__(self, name, tuple(sorted(getattr(self, name))))
 
+    @staticmethod
+    def faults(dataset: EpisodeDataset) -> Iterator[str]:
+        """Yield how Minari's form of a dataset differs from its columns."""
+        return minari_faults(dataset)
+
 
 class Statistics:
     """What to normalize arrays by, name by name; blocks of rows are added one by one."""

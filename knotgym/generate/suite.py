@@ -23,7 +23,7 @@ import knotgym
 from knotgym import common
 from knotgym.common import Failed, InvalidFile, InvalidInput, KnotgymError, one_line, require_output
 from knotgym.control import PolicyConfig, replay
-from knotgym.datasets import EpisodeDataset, expanded, minari_faults, open_episodes, suite_card
+from knotgym.datasets import EpisodeDataset, MinariMetadata, expanded, open_episodes, suite_card
 from knotgym.generate.collection import collect, recording_at, require_collectable, run_facts
 from knotgym.generate.episode_configs import BENCH, SIZES, CollectConfig, SuiteConfig
 from knotgym.generate.results import reference_scores
@@ -116,7 +116,7 @@ def _require_known(ids: Iterable[str], root: Path, progress: Progress) -> None:
         if (root / name).exists():
             try:
                 dataset = open_episodes(root / name)
-                faults = [*dataset.digest_faults(), *minari_faults(dataset)]
+                faults = [*dataset.digest_faults(), *MinariMetadata.faults(dataset)]
                 values = _values(dataset)
                 other = f"has other values than the known {right[:16]}" if right else "isn't known"
                 said = one_line(faults[0]) if faults else "" if values == right else other
