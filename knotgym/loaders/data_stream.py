@@ -200,7 +200,8 @@ class DataStream:
 
     def _next_pass(self, worker: Any) -> int:
         """Return the number of the pass that begins, or in which this process goes on."""
-        begun, passes = self._begun, self._begun & (1 << 32) - 1
+        begun = self._begun.copy()  # at once: the other workers write into it meanwhile
+        passes = begun & (1 << 32) - 1
         if worker is not None and self._own:
             return self._pass
         if worker is not None:

@@ -5,6 +5,7 @@ import pickle
 from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,24 @@ def counted(**words: Any) -> Any:
     data = made(**words)
     vars(data)["_batch_of"] = int
     return data
+
+
+class Raced(np.ndarray[Any, Any]):
+    """Memory of workers into which another one writes while it is read."""
+
+    def __and__(self, other: Any) -> Any:
+        read = np.asarray(self) & other
+        SHARED[1] = 5 << 32 | 4
+        return read
+
+
+SHARED = np.array([4 << 32 | 3, 4 << 32 | 3])  # two workers have begun pass 2
+
+
+def test_workers_that_begin_at_once_begin_the_same_pass() -> None:
+    data, worker = made(batches=8), SimpleNamespace(id=0, num_workers=2, seed=5)
+    data._begun = SHARED.view(Raced)
+    assert data._next_pass(worker) == 3
 
 
 STARTS = ("fork", "spawn", "forkserver")
