@@ -40,6 +40,11 @@ def test_states_without_images_are_not_written(states_path: str, tmp_path: Path)
         write_states(tmp_path / "a.h5", read_states(states_path, images=False))
 
 
+def test_what_no_rope_has_is_not_written(states: States, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="column points holds nan"):
+        write_states(tmp_path / "a.h5", states.replaced({"points": states.points * np.nan}))
+
+
 def test_rows_are_those_of_nx_and_split(states: States) -> None:
     for nx in range(5):
         for split in ("train", "test"):
