@@ -113,4 +113,5 @@ def test_a_summary_says_how_many_situations_the_episodes_are(good: EpisodeDatase
     assert twice.distinct() == {"starts": len(starts), "goals": len(goals), "pairs": 3}
     found = show_episodes(TINY["expert"])
     assert (found["episodes"], found["success_rate"], found["form"]) == (3, 1.0, "columns")
+    assert found["lengths"]["max"] == good.episodes.episodes["length"].max()
     assert found["policies"] == {"expert": 3} and found["distinct"] == twice.distinct()

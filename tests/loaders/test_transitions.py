@@ -229,6 +229,7 @@ def test_an_empty_dataset_is_empty_and_a_recording_refused(tmp_path: Path, made:
 
 def test_sequences_are_copies_of_the_columns(made: Episodes, path: Path) -> None:
     data = Sequences(path, 3)
+    assert len(Sequences(path, 1)) > len(data)
     assert data.starts.tolist() == [0, 1, 6, 7, 8, 9, 10, 13]
     one = data[3]
     np.testing.assert_array_equal(one["observation"], made.steps["observation"][7:10])
