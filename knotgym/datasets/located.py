@@ -74,6 +74,12 @@ class Located(NamedTuple):
             files += data_files(data.parent) if dataset.is_dir() else [data]
         return files
 
+    @property
+    def listed(self) -> list[Path]:
+        """The folders with a manifest; that of states or pictures lists what lies below, too."""
+        folders = {self.root} if self.states or self.pictures else {self.root, *self.episodes}
+        return sorted(folder for folder in folders if (folder / "manifest.json").is_file())
+
     def counts(self, sample: int = 0) -> Counter[str]:
         """Count what verification checks, if it plays so many drawn episodes; 0 for all."""
         counts = Counter[str]()
@@ -92,7 +98,8 @@ class Located(NamedTuple):
                 said = f"drawn of {len(dataset)} (95 % sure: under {300 / len(drawn):.2g} % wrong)"
                 counts[said] = len(drawn)
             counts["steps replayed"] += int(drawn.episodes.episodes["length"].sum())
-        counts["checksums"] = len(read_manifest(self.root)[0].get("files", {}))
+        lists = (read_manifest(folder)[0].get("files", {}) for folder in self.listed)
+        counts["checksums"] = sum(map(len, lists))
         return counts
 
     def only(self, *kinds: str) -> "Located":

@@ -435,10 +435,8 @@ def faults(located: Located, replay: Replay, each: Map = map, sample: int = 0) -
     elif located.states:
         every = _state_faults(read_states(located.states))
     else:
-        given = sorted({located.root, *located.episodes})
-        folders = [path for path in given if (path / "manifest.json").is_file()]
         verified = partial(episode_faults, replay=replay, sample=sample)
-        every = chain(*map(_manifest_faults, folders), *map(verified, located.episodes))
+        every = chain(*map(_manifest_faults, located.listed), *map(verified, located.episodes))
     kinds = set[type]()
     for fault in every:
         kinds.add(type(fault))

@@ -141,10 +141,8 @@ def read_entry(path: Path) -> Entry | None:
     if rows.rows != len(tasks) * config.episodes:  # before there is an array of so many
         raise InvalidFile(f"{path} has {rows.rows} episodes, other than its configuration asks for")
     of_setup = np.repeat(np.arange(len(tasks)), config.episodes)
-    fits = len(claimed) == len(tasks)
-    if format != OLD_ENTRY:
-        fits = fits and said["tasks"] == tasks and np.array_equal(rows["setup"], of_setup)
-    if not fits:
+    fits = len(claimed) == len(tasks) and said.get("tasks") == tasks
+    if not (fits and np.array_equal(rows.get("setup"), of_setup)):
         raise InvalidFile(f"{path} doesn't hold the episodes that its configuration asks for")
     wrong = (steps["bead"] >= config.task.beads) | ~(np.abs(steps["force"]) <= 1).all(axis=1)
     for row in episodes.episode_of()[wrong][:1].tolist():

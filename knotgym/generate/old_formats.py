@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 
 from knotgym import common
-from knotgym.common import Column, InvalidFile, Schema, Table
+from knotgym.common import Column, InvalidFile, KnotgymError, Schema, Table
 from knotgym.datasets import PULLS, Episodes
+from knotgym.generate.episode_configs import EvaluateConfig
 from knotgym.rope import FORCE_BINS
 
 OLD_ENTRY = "knotgym-entry"
 
 
 def old_entry(path: Path) -> tuple[Episodes, dict[str, Any]]:
-    """Read an entry of the old format; return its episodes, and its attributes as they are now, but
-    for the `tasks`, which follow from its configuration.
-    """
+    """Read an entry of the old format; return its episodes, and its attributes as they are now."""
     length = Column("length", "uint32", (), "pulls", least=1)
     digest = Column("digest", "uint8", (8,), unknown=0)
     bead, force = PULLS.only("bead", "force").columns
@@ -43,4 +42,9 @@ def old_entry(path: Path) -> tuple[Episodes, dict[str, Any]]:
     made = Episodes.to_repeat(lengths, {"bead": pulls["bead"], "force": forces}, "recorded")
     columns = {**made.episodes, digest.name: rows[digest.name]}
     made = made._replace(episodes=Table(made.episodes.schema.extended(digest), columns))
-    return made, {**said, "claims": said.get("claimed")}
+    raised = KnotgymError, LookupError, TypeError, ValueError
+    with InvalidFile.instead(f"{path} has no valid configuration", *raised):
+        config = common.from_json(EvaluateConfig, said["config"])
+    tasks = [common.as_json(task) for _, task in config.setups()]
+    setup = (np.arange(rows.rows) // config.episodes).astype(np.int16)
+    return made.of_setup(setup), {**said, "claims": said.get("claimed"), "tasks": tasks}

@@ -121,7 +121,7 @@ def forged(source: Path, path: Path, change: Callable[[dict[str, Any], Any, Any]
     said = {**dataset.attributes, **dataset.attributes["protocol"]}
     own, steps = ({name: column.copy() for name, column in one.items()} for one in dataset.episodes)
     own, steps = change(said, own, steps) or (own, steps)
-    facts = {name: said[name] for name in ("tasks", "claims")}
+    facts = {name: said.get(name) for name in ("tasks", "claims")}
     facts["protocol"] = {name: said[name] for name in ("config", "states")}
     schemas = (one.schema for one in dataset.episodes)
     made = Episodes(*(Table(*one) for one in zip(schemas, (own, steps), strict=True)))
@@ -174,6 +174,7 @@ FORGERIES: dict[str, Callable[..., Any]] = {
     "set": _set(states="random-walk"),
     "engine": _set(engine="mujoco"),
     "limit": _set(horizon=5),
+    "setups": lambda said, own, moved: (said.pop("tasks"), own.pop("setup"))[2:],
     "rope": lambda said, own, moved: said.update(rope="0" * 16),
     "states": lambda said, own, moved: said.update(states={"readable": "0" * 64}),
     "after the end": _longer,
