@@ -142,7 +142,7 @@ def read_entry(path: Path) -> Entry | None:
         raise InvalidFile(f"{path} has {rows.rows} episodes, other than its configuration asks for")
     of_setup = np.repeat(np.arange(len(tasks)), config.episodes)
     fits = len(claimed) == len(tasks) and said.get("tasks") == tasks
-    if not (fits and np.array_equal(rows.get("setup"), of_setup)):
+    if not (fits and np.array_equal(rows.get("setup", ()), of_setup)):
         raise InvalidFile(f"{path} doesn't hold the episodes that its configuration asks for")
     wrong = (steps["bead"] >= config.task.beads) | ~(np.abs(steps["force"]) <= 1).all(axis=1)
     for row in episodes.episode_of()[wrong][:1].tolist():
